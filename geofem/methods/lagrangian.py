@@ -1,0 +1,141 @@
+"""Finite elements on a mesh that is carried with the material: total and updated Lagrangian, quasi-static and dynamic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem import materials
+from geofem.core import mesh as meshes
+from geofem.core.forms import UFL_LAWS, Template
+from geofem.methods.lagrangian_model import LagrangianModel
+from geofem.mistake import Mistake
+from geofem.scene import Scene
+
+CELLS = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+ISOCHORIC = ("von_mises", "tresca", "mohr_coulomb", "drucker_prager")
+"""Laws whose plastic flow locks elements that cannot keep their volume."""
+
+
+class Fem:
+    """Finite elements: Lagrange triangles, quadrilaterals, tetrahedra and hexahedra of order 1 to 3."""
+
+    name = "fem"
+
+    def refuses(self, scene: Scene) -> str | None:
+        """Why this method cannot solve the scene, in a sentence; None if it can."""
+        if scene.cracks:
+            return "fem has no mesh that follows a crack yet; use xfem"
+        laws = {region.material.law for region in scene.regions}
+        if scene.plane == "plane_stress" and laws != {"linear_elastic"}:
+            return "plane stress is there for linear_elastic only; use plane_strain"
+        if scene.strain == "small" and (other := laws - {"linear_elastic", *ISOCHORIC}):
+            return f"{', '.join(sorted(other))} is a law of finite strain, and the scene's strain is small"
+        return None
+
+    def build(
+        self,
+        scene: Scene,
+        *,
+        n: int = 8,
+        order: int = 2,
+        cell: str | None = None,
+        formulation: str = "displacement",
+        frame: str = "total",
+        quadrature: str | None = None,
+        grading: float | None = None,
+        steps: int | None = None,
+        rho_inf: float = 1.0,
+        tolerance: float = 1e-9,
+    ) -> LagrangianModel:
+        """Discretise a scene.
+
+        Parameters
+        ----------
+        n : cells across the scene's own length.
+        order : of the displacement, 1 to 3 (2 at most on quadrilaterals and hexahedra).
+        cell : triangle or quadrilateral, tetrahedron or hexahedron; by default simplices, and quadrilaterals for plastic laws.
+        formulation : displacement, or mixed (displacement and a pressure of one order less, Taylor and Hood 1973).
+        frame : total or updated (the mesh moves with the material; for finite strain).
+        quadrature : full, or reduced (one point less per direction on quadrilaterals and hexahedra; the default for plastic laws).
+        grading : exponent with which cells shrink towards the scene's singular points; 1 is uniform, 2 the default for plastic laws.
+        steps : load steps of a static scene (1 if it is linear, else 4), or time steps per period (50 n).
+        rho_inf : spectral radius of generalised-alpha at infinite frequency; 1 damps nothing.
+        tolerance : out-of-balance force relative to the forces that balance.
+
+        Raises ``Mistake`` for knobs that do not fit the scene or each other.
+        """
+        plastic = any(region.material.law in ISOCHORIC for region in scene.regions)
+        if cell is None:
+            cell = ("quadrilateral" if plastic else "triangle") if scene.gdim == 2 else ("hexahedron" if plastic else "tetrahedron")
+        tensor = cell in ("quadrilateral", "hexahedron")
+        quadrature = quadrature or ("reduced" if plastic and tensor else "full")
+        grading = grading if grading is not None else (2.0 if plastic else 1.0)
+        self._check(scene, n, order, cell, formulation, frame, quadrature, grading, steps)
+
+        mixed = formulation == "mixed"
+        for region in scene.regions:
+            materials.check(region.material, f"region {region.name!r}", incompressible_ok=mixed)
+        all_ufl = all(region.material.law in UFL_LAWS for region in scene.regions)
+        updated = frame == "updated"
+        body = meshes.build(MPI.COMM_WORLD, scene, n=n, cell=cell, grading=grading, geometry_order=order if updated else 1)
+        template = Template(
+            cell=body.mesh.topology.cell_name(),
+            geometry=body.mesh.ufl_domain().ufl_coordinate_element(),
+            order=order,
+            plane=scene.plane,
+            strain=scene.strain,
+            laws=tuple(region.material.law if all_ufl else "points" for region in scene.regions),
+            mixed=mixed,
+            updated=updated,
+            degree=quadrature_degree(order, tensor, quadrature == "reduced", scene.strain),
+            followers=sum(load.kind == "pressure" for load in scene.loads),
+        )
+        linear = scene.strain == "small" and all_ufl
+        if steps is None:
+            steps = 50 * n if scene.dynamic else 1 if linear else 4
+        return LagrangianModel(scene, template, body, steps, rho_inf, tolerance, elastic=not plastic)
+
+    def _check(self, scene: Scene, n: int, order: int, cell: str, formulation: str, frame: str, quadrature: str,
+               grading: float, steps: int | None) -> None:  # fmt: skip
+        """Raise ``Mistake`` for the first knob that cannot be."""
+        choices = {
+            "cell": (cell, tuple(CELLS)),
+            "formulation": (formulation, ("displacement", "mixed")),
+            "frame": (frame, ("total", "updated")),
+            "quadrature": (quadrature, ("full", "reduced")),
+        }
+        for name, (value, known) in choices.items():
+            if value not in known:
+                raise Mistake(f"knob {name} = {value!r}: choose from {', '.join(known)}")
+        if not isinstance(n, int) or n < 1:
+            raise Mistake(f"knob n = {n}: the number of cells across the scene's length is a whole number, at least 1")
+        if steps is not None and (not isinstance(steps, int) or steps < 1):
+            raise Mistake(f"knob steps = {steps}: give a whole number, at least 1")
+        if CELLS[cell] != scene.gdim:
+            raise Mistake(f"knob cell = {cell!r}: scene {scene.name} is {scene.gdim}D; choose {' or '.join(c for c, d in CELLS.items() if d == scene.gdim)}")
+        top = 2 if cell in ("quadrilateral", "hexahedron") else 3
+        if order not in range(1, top + 1):
+            raise Mistake(f"knob order = {order}: {cell}s come in orders 1 to {top}")
+        if quadrature == "reduced" and cell in ("triangle", "tetrahedron"):
+            raise Mistake(f"knob quadrature = 'reduced': is for quadrilaterals and hexahedra; {cell}s have no rule of one point less")
+        if formulation == "mixed" and order < 2:
+            raise Mistake("knob order = 1: the mixed form needs order 2 or 3, its pressure is one order less")
+        if formulation == "mixed" and not all(region.material.law in UFL_LAWS for region in scene.regions):
+            raise Mistake(f"knob formulation = 'mixed': is there for {' and '.join(UFL_LAWS)} only")
+        if frame == "updated" and scene.strain == "small":
+            raise Mistake(f"knob frame = 'updated': scene {scene.name} has small strains, where the mesh does not move; use 'total'")
+        if not grading >= 1:
+            raise Mistake(f"knob grading = {grading}: is an exponent of at least 1 (uniform cells)")
+
+
+def quadrature_degree(order: int, tensor: bool, reduced: bool, strain: str) -> int:
+    """Degree of exactness of the rule: order + 1 Gauss points per direction on tensor cells (one less if reduced).
+
+    On simplices 2 (order - 1) integrates the stiffness of a linear law exactly; finite strains take two degrees more.
+    """
+    if tensor:
+        return 2 * order - 1 if reduced else 2 * order
+    return max(1, 2 * (order - 1)) + (2 if strain == "finite" and order > 1 else 0)

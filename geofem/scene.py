@@ -1,0 +1,299 @@
+"""What is to be solved, described once and for every method: geometry, materials, supports, loads, and what to measure.
+
+Every function of position in a scene takes ``x`` of shape (gdim, n), the coordinates of n *material* points in the
+reference configuration, and answers with one column per point. A support's ``where`` must be true on the support and
+beyond it outside the body (``x[0] <= 0``, never ``x[0] == 0``), so that a background grid can use it as well.
+Units are SI unless a scene says that it is dimensionless. Compression is negative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from geofem.mistake import Mistake
+
+Array = np.ndarray
+Point = tuple[float, ...]
+Where = Callable[[Array], Array] | str
+"""A predicate on reference coordinates, (gdim, n) -> (n,) bool, or the name of a physical group of a mesh file."""
+History = Mapping[str, Array]
+"""What a run sampled: ``t``, one array per probe, and the energies ``kinetic``, ``internal`` and ``external`` (J)."""
+
+PLANES = ("plane_strain", "plane_stress", "axisymmetric", "solid")
+
+
+def no_parameters() -> Mapping[str, float]:
+    return MappingProxyType({})
+
+
+# --- geometry ---------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Box:
+    """A rectangle (2D) or a cuboid (3D) between two corners."""
+
+    low: Point
+    high: Point
+
+    def __post_init__(self) -> None:
+        if len(self.low) != len(self.high) or not all(a < b for a, b in zip(self.low, self.high)):
+            raise Mistake(f"Box: the corner {self.high} must lie above {self.low} in every direction")
+
+    @property
+    def bounds(self) -> tuple[Point, Point]:
+        return self.low, self.high
+
+    def contains(self, x: Array) -> Array:
+        return np.all([(a <= xi) & (xi <= b) for a, b, xi in zip(self.low, self.high, x)], axis=0)
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A simple polygon, corners counter-clockwise. Four corners can be meshed by a mapped grid."""
+
+    points: tuple[Point, ...]
+
+    def __post_init__(self) -> None:
+        x, y = np.array(self.points).T
+        if len(self.points) < 3 or np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) <= 0:
+            raise Mistake("Polygon: give at least three corners, counter-clockwise")
+
+    @property
+    def bounds(self) -> tuple[Point, Point]:
+        p = np.array(self.points)
+        return tuple(p.min(0).tolist()), tuple(p.max(0).tolist())
+
+    def contains(self, x: Array) -> Array:
+        """Even-odd rule: which of the points x (2, n) lie inside."""
+        inside = np.zeros(x.shape[1], bool)
+        for (ax, ay), (bx, by) in zip(self.points, self.points[1:] + self.points[:1]):
+            if ay == by:
+                continue
+            crosses = (ay > x[1]) != (by > x[1])
+            inside ^= crosses & (x[0] < ax + (x[1] - ay) * (bx - ax) / (by - ay))
+        return inside
+
+
+@dataclass(frozen=True)
+class Ring:
+    """The annulus inner <= |x - centre| <= outer (m)."""
+
+    centre: Point
+    inner: float
+    outer: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.inner < self.outer:
+            raise Mistake(f"Ring: needs 0 < inner < outer, got {self.inner:g} and {self.outer:g}")
+
+    @property
+    def bounds(self) -> tuple[Point, Point]:
+        return (
+            tuple(c - self.outer for c in self.centre),
+            tuple(c + self.outer for c in self.centre),
+        )
+
+    def contains(self, x: Array) -> Array:
+        r = np.hypot(x[0] - self.centre[0], x[1] - self.centre[1])
+        return (self.inner <= r) & (r <= self.outer)
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A mesh read from a Gmsh .msh file or any format that meshio reads; ``group`` picks one physical group of cells."""
+
+    path: Path
+    group: str | None = None
+
+
+Shape = Box | Polygon | Ring | MeshFile
+
+
+@dataclass(frozen=True)
+class Material:
+    """A law by its registered name, its density (kg/m3) and its parameters; checked by ``geofem.materials.check``."""
+
+    law: str
+    density: float = 0.0
+    parameters: Mapping[str, float] = field(default_factory=no_parameters)
+
+
+@dataclass(frozen=True)
+class Region:
+    """A body: a shape made of one material."""
+
+    name: str
+    shape: Shape
+    material: Material
+
+
+# --- what acts on it --------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Support:
+    """Prescribed displacement components on the part of the boundary that ``where`` picks.
+
+    ``value`` (m) is None for zero, or a function (x, t) -> (n,) of the reference position and time, the same for every
+    component named, so that components with different values are different supports.
+    """
+
+    name: str
+    where: Where
+    components: tuple[int, ...]
+    value: Callable[[Array, float], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Load:
+    """A load and how it grows.
+
+    kind : ``gravity`` (value: acceleration vector, m/s2), ``body`` (value: a function (x, t) -> (gdim, n), force per mass, m/s2),
+        ``traction`` (value: dead force per reference area, Pa), ``pressure`` (value: scalar, Pa, follows the boundary,
+        positive when it pushes into the body).
+    where : for tractions and pressures, the part of the boundary.
+    amplitude : factor as a function of t; by default t itself (a ramp to 1) in a static scene and 1 in a dynamic one.
+    """
+
+    kind: str
+    value: Any
+    where: Where | None = None
+    amplitude: Callable[[float], float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("gravity", "body", "traction", "pressure"):
+            raise Mistake(f"Load: kind is gravity, body, traction or pressure, not {self.kind!r}")
+        if self.kind in ("traction", "pressure") and self.where is None:
+            raise Mistake(f"Load: a {self.kind} needs 'where', the part of the boundary it acts on")
+
+
+@dataclass(frozen=True)
+class Crack:
+    """A crack: a polyline through ``points`` (2D); its end points that lie inside a body are tips."""
+
+    points: tuple[Point, ...]
+
+
+# --- what is measured -------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Probe:
+    """A number sampled along the run; how is the model's affair, only it knows its fields.
+
+    quantity :
+        ``displacement``, ``velocity`` component of the material point ``at`` (reference coordinates);
+        ``stress`` Cauchy stress component (0..5 for xx, yy, zz, xy, yz, xz) at the material point ``at``;
+        ``reaction`` component of the force (N, per metre in plane strain, per radian in axisymmetry) that support ``of``
+        exerts on the body;
+        ``mean_velocity`` component of the velocity of the centre of mass;
+        ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n).
+    """
+
+    name: str
+    quantity: str
+    at: Point | None = None
+    component: int = 0
+    of: str | None = None
+    exact: Callable[[Array, float], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a quantity ought to be, and how we know.
+
+    kind : ``exact``, ``overkill``, ``bracket`` (limit analysis), ``experiment``, ``cross-method``.
+    value : a number, or None for a bracket, which has ``lower`` and ``upper``.
+    """
+
+    kind: str
+    source: str
+    value: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+
+    def error(self, quantity: float) -> float:
+        """Relative error of a number; for a bracket or a band, the relative distance to it (zero inside)."""
+        if self.lower is not None and self.upper is not None:
+            return max(0.0, quantity - self.upper, self.lower - quantity) / abs(0.5 * (self.lower + self.upper))
+        assert self.value is not None
+        scale = abs(self.value) or 1.0
+        return abs(quantity - self.value) / scale
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A quantity of interest: a number taken from the history of a run.
+
+    value : (history) -> number, or None for a measure that is an error only, like that of a whole field or curve.
+    error : (history) -> relative error; by default that of ``value`` against ``reference``.
+    """
+
+    name: str
+    unit: str
+    value: Callable[[History], float] | None = None
+    error: Callable[[History], float] | None = None
+    reference: Reference | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One problem, for every method.
+
+    length : the scene's own length (m): ``n`` cells of a method lie across it.
+    strain : ``small`` or ``finite``.
+    dynamic : False: inertia is ignored, t is a load factor and 0 < t <= t_end is reached in steps.
+    period : the time (s) of one oscillation of a dynamic scene, by which methods choose their step; t_end if None.
+    singular : points where the exact stress is singular or jumps: a method may grade its cells towards them.
+    room : a box around all that the bodies will do, for methods with a background grid.
+    collapse : True if the run is to find the t at which equilibrium is lost, and to end there with status ``ok``.
+    weakening : t -> factor by which the strength (c and tan phi) is divided at t (strength reduction).
+    at : t -> where the run stands in the scene's own terms, like {"amplitude": 0.3}; a failure is reported with it.
+    savings : what was not modelled and why, as factors: {"symmetry": 0.5} solves half of the full body.
+    knobs : the values of the scene's own knobs that it was made with.
+    """
+
+    name: str
+    regions: tuple[Region, ...]
+    length: float
+    supports: tuple[Support, ...]
+    loads: tuple[Load, ...] = ()
+    probes: tuple[Probe, ...] = ()
+    measures: tuple[Measure, ...] = ()
+    plane: str = "plane_strain"
+    strain: str = "finite"
+    dynamic: bool = False
+    t_end: float = 1.0
+    period: float | None = None
+    initial_velocity: Callable[[Array], Array] | None = None
+    cracks: tuple[Crack, ...] = ()
+    singular: tuple[Point, ...] = ()
+    room: Box | None = None
+    collapse: bool = False
+    weakening: Callable[[float], float] | None = None
+    at: Callable[[float], Mapping[str, float]] | None = None
+    savings: Mapping[str, float] = field(default_factory=no_parameters)
+    knobs: Mapping[str, Any] = field(default_factory=no_parameters)
+
+    def __post_init__(self) -> None:
+        if self.plane not in PLANES:
+            raise Mistake(f"scene {self.name}: plane is one of {', '.join(PLANES)}, not {self.plane!r}")
+        if self.strain not in ("small", "finite"):
+            raise Mistake(f"scene {self.name}: strain is small or finite, not {self.strain!r}")
+        if not self.regions:
+            raise Mistake(f"scene {self.name}: has no region; give it at least one body")
+        names = [s.name for s in self.supports]
+        for probe in self.probes:
+            if probe.quantity == "reaction" and probe.of not in names:
+                raise Mistake(f"scene {self.name}: probe {probe.name!r} measures the reaction of unknown support {probe.of!r}")
+
+    @property
+    def gdim(self) -> int:
+        return 3 if self.plane == "solid" else 2
+
+    def amplitude(self, load: Load, t: float) -> float:
+        """The factor of a load at time t."""
+        if load.amplitude is not None:
+            return load.amplitude(t)
+        return 1.0 if self.dynamic else t

@@ -1,0 +1,44 @@
+"""One ladder of a study in a process of its own: a JSON task on standard input, a JSON row per run on standard output.
+
+The task is ``{"scene", "method", "runs": [knobs, ...], "repeats", "folder"}``. Imports and compilation are paid once; every run
+is repeated and its least CPU time is kept, as other work on the machine only ever adds to it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+from geofem.mistake import Mistake
+from geofem.runner import run
+
+ENOUGH_SECONDS = 20.0
+"""A run is not repeated once its repeats have taken this long: noise matters less the longer it is."""
+
+
+def main() -> int:
+    task = json.load(sys.stdin)
+    # whatever libraries print must not mix with the rows
+    rows = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    for i, knobs in enumerate(task["runs"]):
+        try:
+            results = [run(task["scene"], task["method"], **knobs)]
+            while results[0].status == "ok" and len(results) < task["repeats"]:
+                if sum(r.cost["wall_s"] for r in results) > ENOUGH_SECONDS:
+                    break
+                results.append(run(task["scene"], task["method"], **knobs))
+        except Mistake as mistake:
+            print(mistake, file=sys.stderr)
+            return 2
+        best = min(results, key=lambda r: r.cost.get("cpu_s", 0.0))
+        best.cost["runs"] = len(results)
+        best.save(Path(task["folder"]) / str(i))
+        print(best.to_json(), file=rows, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
