@@ -199,7 +199,7 @@ class Run:
         """Flags that are true on all ranks if they are on one."""
         if self.comm.size == 1:
             return list(flags)
-        return [bool(f) for f in self.comm.allreduce(np.array(flags, int), op=MPI.MAX)]
+        return [self.comm.allreduce(flag, op=MPI.LOR) for flag in flags]
 
     # --- checkpoints ----------------------------------------------------------------------------------------------
     @property

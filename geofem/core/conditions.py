@@ -21,7 +21,7 @@ class DisplacementDofs:
         self.parent = forms.space.sub(0) if forms.template.mixed else forms.space
         if forms.template.mixed:
             self.space, index = self.parent.collapse()
-            self.index = np.asarray(index)
+            self.index = np.asarray(index).ravel()
         else:
             self.space = self.parent
             self.index = np.arange(forms.unknown.x.array.size)
@@ -38,8 +38,8 @@ class Condition:
         mesh = forms.mesh
         where = facets(body, support.where, f"support {support.name!r}")
         dofs = fem.locate_dofs_topological((sub, collapsed), mesh.topology.dim - 1, where)
-        self.support = support
-        self._parent = np.asarray(parent)
+        self.support, self.component = support, component
+        self._parent = np.asarray(parent).ravel()
         self._value = fem.Function(collapsed)
         self._x = collapsed.tabulate_dof_coordinates()[:, : mesh.geometry.dim].T.copy()
         self.bc = fem.dirichletbc(self._value, dofs, sub)

@@ -6,6 +6,7 @@ their region (``dx(1)``, ``dx(2)``): with a plain ``dx`` dolfinx ignores the lis
 
 The unknown is the displacement u counted from the configuration of the mesh: the reference one (total Lagrangian, ``base`` is
 not used) or the last converged one (updated Lagrangian, ``base`` holds F of that configuration at the quadrature points).
+The mixed form carries the pressure divided by the shear modulus, which keeps the blocks of its matrix of one size.
 """
 
 from __future__ import annotations
@@ -182,7 +183,7 @@ def abstract_form(template: Template, kind: str) -> Any:
         lam, mu, inv_lam = (s.constants[f"{p_}{i}"] for p_ in ("lam", "mu", "inv_lam"))
         deformation = f * base if template.strain == "finite" else f
         if template.mixed:
-            stored = ufl_energy.energy_mixed(template.laws[i], deformation, p, mu, inv_lam)
+            stored = ufl_energy.energy_mixed(template.laws[i], deformation, mu * p, inv_lam, mu)
         else:
             stored = ufl_energy.energy(template.laws[i], deformation, lam, mu)
         return stored / (ufl.det(base) if template.updated else 1.0)
@@ -221,7 +222,7 @@ def abstract_form(template: Template, kind: str) -> Any:
     if kind == "weight":
         return everywhere(density)
     if kind == "volume":
-        return everywhere(lambda i: ufl.det(f))
+        return everywhere(lambda i: ufl.det(f) if template.strain == "finite" else ufl.tr(f) - 2)
     if kind == "traction":
         return ufl.inner(s.constants["traction"], v) * weight * ds(0)
     raise KeyError(kind)
@@ -234,7 +235,7 @@ def cauchy_vector(template: Template, unknown: Any, base: Any, lam: Any, mu: Any
     f = ufl.Identity(3) + gradient(u, x, template.plane)
     f = ufl.variable(f * as_tensor(base, template.plane) if template.updated else f)
     law = template.laws[0]
-    stored = ufl_energy.energy_mixed(law, f, p, mu, inv_lam) if template.mixed else ufl_energy.energy(law, f, lam, mu)
+    stored = ufl_energy.energy_mixed(law, f, mu * p, inv_lam, mu) if template.mixed else ufl_energy.energy(law, f, lam, mu)
     stress = ufl.diff(stored, f)
     if template.strain == "finite":
         stress = stress * f.T / ufl.det(f)

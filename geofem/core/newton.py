@@ -1,7 +1,9 @@
 """Newton's method with backtracking for one step of a boundary value problem in its weak form.
 
-The full correction is taken when it lowers the out-of-balance force, else it is halved: four large steps with backtracking
-cost a third of the factorisations of fifteen small ones without (measured on the strip footing).
+For plastic laws the full correction is taken only when it lowers the out-of-balance force, else it is halved: four large steps
+with backtracking cost a third of the factorisations of fifteen small ones without (measured on the strip footing). For elastic
+laws the force may grow on the way: where a slender body rotates, the first corrections stretch it, and insisting on a lower
+force would stop there. In both cases an inadmissible state (det F <= 0) halves the correction.
 """
 
 from __future__ import annotations
@@ -12,14 +14,18 @@ from dataclasses import dataclass
 import numpy as np
 from dolfinx import fem, la
 from mpi4py import MPI
-from petsc4py import PETSc
 
-from geofem.core.solvers import LinearSolver, Matrix
+from geofem.core.solvers import LinearSolver
 from geofem.cost import phase
 from geofem.mistake import Breakdown
 
-MAX_ITERATIONS = 25
+MAX_ITERATIONS = 50
 MAX_HALVINGS = 6
+DIVERGED = 1e8
+CIRCLE, ELASTIC_SHARE = 4, 0.02
+EPSILON = 1e-14
+ROUNDING = 1e-6
+"""Below this fraction of the forces, an out-of-balance force that no longer halves is taken for rounding."""
 
 
 @dataclass
@@ -27,7 +33,7 @@ class Balance:
     """What an evaluation of the out-of-balance force found.
 
     force : residual with ghosts summed into their owners. scale : size of the forces that balance (N).
-    valid : False on any rank where the state is inadmissible (det F <= 0).
+    valid : False on a rank where the state is inadmissible (det F <= 0).
     """
 
     force: la.Vector
@@ -43,29 +49,33 @@ class Newton:
     unknown : the function to be changed in place.
     bcs : Dirichlet conditions, their values already those of the new state.
     balance : () -> Balance at the current unknown (collective).
-    linearise : (bcs) -> None, fills ``matrix`` with the tangent at the current unknown.
+    linearise : (bcs) -> None, fills the solver's matrix with the tangent at the current unknown.
+    tolerance : out-of-balance force relative to the forces that balance.
+    stabilise : (share) mixes a share of the elastic tangent into that of a plastic law, taken where the iteration goes round in
+        circles between the faces of yield surfaces. With it, the force must fall at every iteration; without, it may grow.
     """
 
     def __init__(
         self,
         unknown: fem.Function,
         bcs: list[fem.DirichletBC],
-        matrix: Matrix,
         solver: LinearSolver,
         balance: Callable[[], Balance],
         linearise: Callable[[list[fem.DirichletBC]], None],
-        tolerance: float = 1e-9,
+        tolerance: float,
+        stabilise: Callable[[float], None] | None = None,
     ):
-        self.unknown, self.bcs, self.matrix, self.solver = unknown, bcs, matrix, solver
+        self.unknown, self.bcs, self.solver = unknown, bcs, solver
         self.balance, self.linearise, self.tolerance = balance, linearise, tolerance
+        self.stabilise, self.monotone = stabilise, stabilise is not None
         self.comm = unknown.function_space.mesh.comm
         self.owned = unknown.function_space.dofmap.index_map.size_local * unknown.function_space.dofmap.index_map_bs
         self.iterations = 0
+        self.scale = 0.0
         self._free = np.ones(self.owned, bool)
         for bc in bcs:
             dofs, _ = bc.dof_indices()
             self._free[dofs[dofs < self.owned]] = False
-        self._rhs, self._correction = matrix.mat.createVecRight(), matrix.mat.createVecRight()
 
     def _norm(self, balance: Balance) -> float:
         """Norm of the force at the free dofs, infinite where any rank's state is inadmissible."""
@@ -82,54 +92,85 @@ class Newton:
         return self.comm.allreduce(float(np.abs(gap - self.unknown.x.array).max(initial=0.0)), op=MPI.MAX)
 
     def solve(self, lift: Callable[[np.ndarray, list[fem.DirichletBC]], None]) -> None:
-        """Iterate to balance. Raises ``Breakdown`` (newton) if that fails; the unknown is then left wherever it was.
+        """Iterate to balance. Raises ``Breakdown`` (newton, tangle) if that fails; the unknown is then left wherever it was.
 
         lift : (b, bcs) subtracts from b the tangent times the prescribed increments, ghosts not yet summed.
         """
-        space = self.unknown.function_space
-        x = self.unknown.x
-        now = self.balance()
-        norm = self._norm(now)
+        now, norm = self._evaluate()
         if not np.isfinite(norm):
-            raise Breakdown("newton", "the step starts from an inadmissible state")
+            raise Breakdown("tangle", "the step starts from an inadmissible state")
+        self.scale, first = now.scale, norm
         pending = self._prescribed_gap() > 0.0
+        norms: list[float] = []
         for _ in range(MAX_ITERATIONS):
-            if not pending and norm <= self.tolerance * now.scale:
+            if not pending and norm <= self.tolerance * self.scale:
                 return
-            with phase("assemble"):
-                self.linearise(self.bcs)
-            rhs = la.vector(space.dofmap.index_map, space.dofmap.index_map_bs)
-            if pending:
-                with phase("assemble"):
-                    lift(rhs.array, self.bcs)
-                rhs.scatter_reverse(la.InsertMode.add)
-            rhs.array[: self.owned] -= now.force.array[: self.owned]
-            for bc in self.bcs:
-                bc.set(rhs.array, x.array)
-            self._rhs.array[:] = rhs.array[: self.owned]
-            self.solver.solve(self._rhs, self._correction)
-            self.iterations += 1
-            correction = self._correction.array.copy()
-            before = x.array.copy()
-            length, previous = 1.0, norm
+            self._leave_circles(norms)
+            correction = self._correct(now, lift if pending else None)
+            before, previous, length = self.unknown.x.array.copy(), norm, 1.0
             for _ in range(MAX_HALVINGS):
-                x.array[: self.owned] = before[: self.owned] + length * correction
-                x.scatter_forward()
-                now = self.balance()
-                norm = self._norm(now)
+                self.unknown.x.array[: self.owned] = before[: self.owned] + length * correction
+                self.unknown.x.scatter_forward()
+                now, norm = self._evaluate()
+                self.scale = now.scale
                 # prescribed increments put the state out of balance by design: there only admissibility is asked for
-                if np.isfinite(norm) and (pending or norm < (1.0 - 1e-4 * length) * previous or norm <= self.tolerance * now.scale):
+                lower = pending or not self.monotone or norm < 0.999 * previous
+                if np.isfinite(norm) and (lower or norm <= self.tolerance * self.scale):
                     break
-                if self._stagnates(correction, before) and np.isfinite(norm):
-                    return
                 length *= 0.5
-            else:
-                raise Breakdown("newton", f"backtracking found no better state (out-of-balance force {norm:.2e}, forces {now.scale:.2e})")
+            if not np.isfinite(norm):
+                raise Breakdown("tangle", f"det F <= 0 however short the correction (forces of {self.scale:.1e})")
+            # where no length lowers the force, the shortest is taken: it is often the way past a kink of a yield surface
+            if not pending and norm <= self._rounding(previous):
+                return
             pending = pending and length < 1.0
-        if norm > self.tolerance * now.scale:
-            raise Breakdown("newton", f"no balance after {MAX_ITERATIONS} iterations (force {norm:.2e} of {now.scale:.2e})")
+            norms.append(norm)
+            if norm > DIVERGED * max(first, self.scale):
+                break
+        if norm > self.tolerance * self.scale:
+            raise Breakdown("newton", f"no balance in {MAX_ITERATIONS} iterations: force {norm:.1e} among forces of {self.scale:.1e}")
 
-    def _stagnates(self, correction: np.ndarray, before: np.ndarray) -> bool:
-        """True if the correction is rounding: the balance cannot become better in this arithmetic."""
-        sizes = self.comm.allreduce(np.array([np.abs(correction).max(initial=0.0), np.abs(before).max(initial=0.0)]), op=MPI.MAX)
-        return bool(sizes[0] <= 1e-13 * sizes[1])
+    def _leave_circles(self, norms: list[float]) -> None:
+        """Mix in some elastic tangent while the last iterations are no better than those before."""
+        if self.stabilise is None:
+            return
+        circling = len(norms) > CIRCLE and min(norms[-CIRCLE:]) > 0.5 * min(norms[:-CIRCLE])
+        self.stabilise(ELASTIC_SHARE if circling else 0.0)
+
+    def _evaluate(self) -> tuple[Balance, float]:
+        now = self.balance()
+        return now, self._norm(now)
+
+    def _correct(self, now: Balance, lift: Callable[[np.ndarray, list[fem.DirichletBC]], None] | None) -> np.ndarray:
+        """The full Newton correction of the owned dofs, prescribed increments included."""
+        space = self.unknown.function_space
+        with phase("assemble"):
+            self.linearise(self.bcs)
+            rhs = la.vector(space.dofmap.index_map, space.dofmap.index_map_bs)
+            if lift is not None:
+                lift(rhs.array, self.bcs)
+                rhs.scatter_reverse(la.InsertMode.add)
+        rhs.array[: self.owned] -= now.force.array[: self.owned]
+        for bc in self.bcs:
+            bc.set(rhs.array, self.unknown.x.array)
+        self.iterations += 1
+        try:
+            return self.solver.solve(rhs.array[: self.owned])
+        except Breakdown:
+            # cells whose points all stand at the apex of a yield surface have no stiffness left
+            if self.stabilise is None:
+                raise
+            self.stabilise(ELASTIC_SHARE)
+            self.linearise(self.bcs)
+            return self.solver.solve(rhs.array[: self.owned])
+
+    def _rounding(self, previous: float) -> float:
+        """The out-of-balance force that rounding leaves: no iteration can make it smaller.
+
+        For elastic laws it is what a rounding error of the displacement costs; for plastic ones, whose displacement may be
+        without bound, a small force that no longer halves.
+        """
+        if self.monotone:
+            return ROUNDING * self.scale if self.scale * ROUNDING > 0.5 * previous else 0.0
+        spring = self.solver.matrix.mat.getDiagonal().array * self.unknown.x.array[: self.owned]
+        return EPSILON * float(np.sqrt(self.comm.allreduce(float(spring @ spring), op=MPI.SUM)))

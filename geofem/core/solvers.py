@@ -83,35 +83,43 @@ class LinearSolver:
     """
 
     def __init__(self, matrix: Matrix, space: fem.FunctionSpace, definite: bool):
-        self.iterations = 0
-        self.ksp = PETSc.KSP().create(matrix.mat.comm)
-        self.ksp.setOperators(matrix.mat)
+        self.matrix, self.iterations = matrix, 0
         dofs = space.dofmap.index_map.size_global * space.dofmap.index_map_bs
-        if definite and space.mesh.geometry.dim == 3 and dofs > ITERATIVE_DOFS:
+        self._iterative = definite and space.mesh.geometry.dim == 3 and dofs > ITERATIVE_DOFS
+        if self._iterative:
             matrix.mat.setBlockSize(3)
             matrix.mat.setNearNullSpace(rigid_body_modes(space))
-            self.ksp.setType("cg")
-            self.ksp.setTolerances(rtol=1e-10, max_it=500)
-            self.ksp.pc.setType("gamg")
-            options = PETSc.Options()
-            for name, value in (("mg_levels_ksp_type", "chebyshev"), ("mg_levels_pc_type", "jacobi")):
-                if not options.hasName(name):
-                    options[name] = value
-        else:
-            self.ksp.setType("preonly")
-            self.ksp.pc.setType("lu")
-            self.ksp.pc.setFactorSolverType("mumps")
-        self.ksp.setFromOptions()
+        self._set_up()
 
-    def solve(self, b: PETSc.Vec, x: PETSc.Vec) -> None:
-        """x <- A^-1 b with the current entries of the matrix. Raises ``Breakdown`` (newton) where that is impossible."""
+    def _set_up(self) -> None:
+        self._b, self._x = self.matrix.mat.createVecs()
+        self.ksp = PETSc.KSP().create(self.matrix.mat.comm)
+        self.ksp.setOperators(self.matrix.mat)
+        options = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100}
+        if self._iterative:
+            options = {"ksp_type": "cg", "ksp_rtol": 1e-10, "ksp_max_it": 500, "pc_type": "gamg", "mg_levels_ksp_type": "chebyshev",
+                       "mg_levels_pc_type": "jacobi"}  # fmt: skip
+        given = PETSc.Options()
+        ours = [name for name in options if not given.hasName(name)]
+        for name in ours:
+            given[name] = options[name]
+        self.ksp.setFromOptions()
+        for name in ours:
+            given.delValue(name)
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """A^-1 rhs for the owned dofs with the current entries of the matrix. Raises ``Breakdown`` (newton) where that fails."""
         with phase("solve"):
+            self._b.array[:] = rhs
             try:
-                self.ksp.setOperators(*self.ksp.getOperators()[:1])
-                self.ksp.solve(b, x)
+                self.ksp.setOperators(self.matrix.mat)
+                self.ksp.solve(self._b, self._x)
             except PETSc.Error as error:
-                raise Breakdown("newton", f"the linear solver gave up (PETSc error {error.ierr}): the tangent may be singular") from None
+                # PETSc leaves its objects locked after an error of MUMPS: start again with new ones
+                self._set_up()
+                raise Breakdown("newton", f"the linear solver gave up (PETSc error {error.ierr}); the tangent may be singular") from None
         self.iterations += self.ksp.its
         reason = self.ksp.getConvergedReason()
         if reason < 0:
-            raise Breakdown("newton", f"the linear solver did not converge (PETSc reason {reason})")
+            raise Breakdown("newton", f"the linear solver did not converge (PETSc reason {reason}); the tangent may be singular")
+        return self._x.array.copy()

@@ -36,6 +36,8 @@ class PointState:
         """Converged strain (small) or deformation gradient (finite) at the points, (points, components)."""
         self._trial_strain = self.strain.copy()
         self.plastic = 0
+        self.elastic_share = 0.0
+        """Share of the elastic tangent that replaces the consistent one (small strain), where Newton goes round in circles."""
         self.set_time(0.0)
 
     def set_time(self, t: float, dt: float = 1.0) -> None:
@@ -69,6 +71,9 @@ class PointState:
                         law.push(s, d, old)
                 else:
                     plastic = law.small(now - old, history, parameters, s, d, trial)
+                    if self.elastic_share:
+                        d *= 1.0 - self.elastic_share
+                        d += self.elastic_share * elastic_matrix(parameters, size)
                 self.plastic += plastic
                 if not whole:
                     stress[points], tangent[points] = s, d
@@ -105,6 +110,14 @@ class PointState:
             return stress
         f = self.forms.evaluate(self._strain) if self.forms.template.updated else self._trial_strain
         return cauchy_from_pk1(stress, f)
+
+
+def elastic_matrix(parameters: np.ndarray, size: int) -> np.ndarray:
+    """Isotropic elastic stiffness (size, size) from parameters that begin with Lame's constants lambda and mu."""
+    lam, mu = parameters[:2]
+    matrix = np.diag([2.0 * mu] * 3 + [mu] * (size - 3))
+    matrix[:3, :3] += lam
+    return matrix
 
 
 def tensors(f: np.ndarray) -> np.ndarray:

@@ -48,7 +48,7 @@ class Fem:
         grading: float | None = None,
         steps: int | None = None,
         rho_inf: float = 1.0,
-        tolerance: float = 1e-9,
+        tolerance: float | None = None,
     ) -> LagrangianModel:
         """Discretise a scene.
 
@@ -61,9 +61,9 @@ class Fem:
         frame : total or updated (the mesh moves with the material; for finite strain).
         quadrature : full, or reduced (one point less per direction on quadrilaterals and hexahedra; the default for plastic laws).
         grading : exponent with which cells shrink towards the scene's singular points; 1 is uniform, 2 the default for plastic laws.
-        steps : load steps of a static scene (1 if it is linear, else 4), or time steps per period (50 n).
+        steps : load steps of a static scene (1 if it is linear, else 4), or time steps per period (25 n).
         rho_inf : spectral radius of generalised-alpha at infinite frequency; 1 damps nothing.
-        tolerance : out-of-balance force relative to the forces that balance.
+        tolerance : out-of-balance force relative to the forces that balance; 1e-9, and 1e-5 for plastic laws.
 
         Raises ``Mistake`` for knobs that do not fit the scene or each other.
         """
@@ -95,7 +95,8 @@ class Fem:
         )
         linear = scene.strain == "small" and all_ufl
         if steps is None:
-            steps = 50 * n if scene.dynamic else 1 if linear else 4
+            steps = 25 * n if scene.dynamic else 1 if linear else 4
+        tolerance = tolerance or (1e-5 if plastic else 1e-9)
         return LagrangianModel(scene, template, body, steps, rho_inf, tolerance, elastic=not plastic)
 
     def _check(self, scene: Scene, n: int, order: int, cell: str, formulation: str, frame: str, quadrature: str,

@@ -49,6 +49,7 @@ class LagrangianModel:
         self._set_constants()
         self.dofs = DisplacementDofs(forms)
         self.conditions = [Condition(forms, self.dofs, body, s, c) for s in scene.supports for c in s.components]
+        self._load_driven = not scene.dynamic and bool(scene.loads) and not any(s.value for s in scene.supports)
         self._held = np.unique(np.concatenate([c.dofs for c in self.conditions] or [np.empty(0, np.int32)]))
         self.loads = Loads(scene, forms, body)
         self.points = PointState(scene, forms) if template.laws[0] == "points" else None
@@ -56,7 +57,7 @@ class LagrangianModel:
         self._matrix = Matrix(forms.form("tangent"))
         self._solver = LinearSolver(self._matrix, forms.space, definite=elastic and not template.mixed and not followers)
         bcs = [condition.bc for condition in self.conditions]
-        self._newton = Newton(forms.unknown, bcs, self._matrix, self._solver, self._balance, self._linearise, tolerance)
+        self._newton = Newton(forms.unknown, bcs, self._solver, self._balance, self._linearise, tolerance, self._stabilise if not elastic else None)
         self.owned = self._newton.owned
         self.displacement, self.v, self.a = (np.zeros_like(forms.unknown.x.array) for _ in range(3))
         if template.updated:
@@ -98,16 +99,13 @@ class LagrangianModel:
         if self.scene.initial_velocity is not None:
             self.v[self.dofs.index] = self.scene.initial_velocity(self.dofs.X.T).T.ravel()
         first.assemble(bcs)
-        b, a = first.mat.createVecRight(), first.mat.createVecRight()
         diagonal = first.mat.getDiagonal()
         # the pressure has no mass: give its rows a diagonal, so that its acceleration is zero
         diagonal.array[diagonal.array == 0.0] = 1.0
         first.mat.setDiagonal(diagonal)
         force = (self._external - self._internal)[: self.owned]
         force[self._held] = 0.0
-        b.array[:] = force
-        LinearSolver(first, self.forms.space, definite=False).solve(b, a)
-        self.a[: self.owned] = a.array
+        self.a[: self.owned] = LinearSolver(first, self.forms.space, definite=False).solve(force)
         self._forward(self.a)
         self._energy["kinetic"] = self._kinetic()
 
@@ -156,7 +154,10 @@ class LagrangianModel:
         internal = self._internal_force()
         force = self._vector()
         force.array[:] = internal - self._external
-        scale = self._norm(internal) + self._norm(self._external)
+        scale = self._norm(self._external)
+        if not self._load_driven:
+            # under loads alone the loads are the measure: internal forces grow without bound where a body flows away
+            scale += self._norm(internal)
         if self.scene.dynamic:
             new = self.scheme.acceleration(self._increment(), self.v, self.a, self._step)
             inertia = self._inertia((1.0 - self.scheme.alpha_m) * new + self.scheme.alpha_m * self.a)
@@ -172,6 +173,12 @@ class LagrangianModel:
         self._matrix.assemble(bcs, diagonal=1.0 / self._stiffness_factor)
         if self.scene.dynamic:
             self._matrix.combine(self._stiffness_factor, self._free_mass, self.scheme.mass_factor(self._step))
+
+    def _stabilise(self, share: float) -> None:
+        assert self.points is not None
+        if share != self.points.elastic_share:
+            self.points.elastic_share = share
+            self._update_points()
 
     def _lift(self, b: np.ndarray, bcs: list[fem.DirichletBC]) -> None:
         x0 = [self.forms.unknown.x.array]
@@ -240,7 +247,7 @@ class LagrangianModel:
         inner, outer = self.comm.allreduce(0.5 * forces[:, : self.owned] @ du[: self.owned], op=MPI.SUM)
         self._energy["internal"] = self._energy["internal"] + inner if self.points else self._total("energy")
         self._energy["external"] += outer
-        self._imbalance = max(self._imbalance, self._norm(out_of_balance - reaction) / (self._norm(internal) or 1.0))
+        self._imbalance = max(self._imbalance, self._norm(out_of_balance - reaction) / (self._newton.scale or 1.0))
         self._internal, self._reaction = internal, reaction
         self.displacement = self.displacement + du
         if self.points:
@@ -350,7 +357,7 @@ class LagrangianModel:
         out = [("u", self.dofs.X, self.dofs.index.reshape(self.dofs.X.shape))]
         if self.template.mixed:
             space, index = self.forms.space.sub(1).collapse()
-            out.append(("p", space.tabulate_dof_coordinates()[:, : self.scene.gdim], np.asarray(index)[:, None]))
+            out.append(("p", space.tabulate_dof_coordinates()[:, : self.scene.gdim], np.asarray(index).ravel()[:, None]))
         return out
 
     def _per_cell(self) -> dict[str, np.ndarray]:

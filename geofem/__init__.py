@@ -1,0 +1,67 @@
+"""geofem: one scene, every continuum method, error against cost.
+
+>>> import geofem
+>>> result = geofem.run("cook", method="fem", n=16)  # doctest: +SKIP
+>>> result.error["uy"]  # doctest: +SKIP
+
+Importing the package loads neither dolfinx nor numba: a public name is fetched when it is first used.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geofem.mistake import Breakdown, Mistake
+    from geofem.result import Result
+    from geofem.runner import run
+    from geofem.scene import (
+        Box,
+        Crack,
+        Load,
+        Material,
+        Measure,
+        MeshFile,
+        Polygon,
+        Probe,
+        Reference,
+        Region,
+        Ring,
+        Scene,
+        Support,
+    )
+    from geofem.study.sweep import compare
+
+# One thread a process: CPU seconds then mean the same on every machine, and MPI ranks do not fight for cores. The
+# libraries read these once, when they load. What the user has set stands.
+for _cap in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(_cap, "1")
+
+__all__ = [
+    "Box", "Breakdown", "Crack", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe", "Reference",
+    "Region", "Result", "Ring", "Scene", "Support", "compare", "run",
+]  # fmt: skip
+
+_HOMES = {
+    "run": "geofem.runner",
+    "compare": "geofem.study.sweep",
+    "Result": "geofem.result",
+    "Mistake": "geofem.mistake",
+    "Breakdown": "geofem.mistake",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version  # costs more than all else here, and few ask
+
+        return version("geofem")
+    if name not in __all__:
+        raise AttributeError(f"module 'geofem' has no attribute {name!r}")
+    return getattr(import_module(_HOMES.get(name, "geofem.scene")), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

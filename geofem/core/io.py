@@ -1,0 +1,86 @@
+"""Files of a run: a series of pictures that ParaView opens, and checkpoints that any number of ranks can take up.
+
+Pictures are .vtu files with a .pvd index. Of the alternatives, VTX (.bp) cannot be read by VTK's Python wheel, which lacks
+ADIOS2, and holds functions of one element on one mesh; dolfinx 0.11 writes one field to a VTKHDF file, at the nodes or in
+the cells. Neither holds particles or a mesh that changes.
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem.core.mpi import on_root
+from geofem.mistake import Mistake
+from geofem.result import replace_text
+
+NODAL = ("displacement", "velocity")
+
+
+class Series:
+    """Pictures of a run over time, written by rank 0: ``path`` (.pvd) lists them, each is a .vtu file beside it.
+
+    The points and cells may change from one picture to the next. The index is whole after every picture, so that a run can be
+    watched. ``resumed`` (the run's t): pictures up to this t of an earlier run are kept.
+    """
+
+    def __init__(self, path: Path, resumed: float | None = None):
+        self.path = path.with_suffix(".pvd")
+        self.entries: list[tuple[float, str]] = []
+        if resumed is not None and self.path.exists():
+            found = ElementTree.parse(self.path).iter("DataSet")
+            listed = [(float(entry.attrib["timestep"]), entry.attrib["file"]) for entry in found]
+            self.entries = [(t, file) for t, file in listed if t <= resumed]
+
+    def write(self, t: float, snapshot: Mapping[str, Any]) -> None:
+        """Add a picture: a ``snapshot`` of a model, see ``Result``; an empty one, as on ranks other than 0, is passed over.
+
+        A field with a row for each point is drawn at the points, one with a row for each cell in the cells. If there are as
+        many cells as points, only displacements and velocities, and all fields of particles, are drawn at the points.
+        """
+        if not snapshot:
+            return
+        import meshio
+
+        points, cells, kind = snapshot["points"], np.asarray(snapshot["cells"]), str(snapshot["cell"])
+        fields = {k: np.asarray(v) for k, v in snapshot.items() if k not in ("points", "cells", "cell")}
+        at_points, in_cells = {}, {}
+        for name, values in fields.items():
+            if values.ndim == 2 and values.shape[1] == 2:
+                values = np.pad(values, ((0, 0), (0, 1)))  # VTK's vectors have three components
+            if len(values) == len(points) and (len(points) != len(cells) or kind == "vertex" or name in NODAL):
+                at_points[name] = values
+            elif len(values) == len(cells):
+                in_cells[name] = [values]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        file = f"{self.path.stem}_{len(self.entries):05d}.vtu"
+        meshio.Mesh(points, [(kind, cells)], at_points, in_cells).write(self.path.with_name(file))
+        self.entries.append((t, file))
+        rows = "".join(f'<DataSet timestep="{t!r}" file="{file}"/>\n' for t, file in self.entries)
+        replace_text(self.path, f'<VTKFile type="Collection" version="0.1"><Collection>\n{rows}</Collection></VTKFile>\n')
+
+
+def load_checkpoint(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an .npz that rank 0 wrote by ``geofem.result.write_npz``, the same on every rank. Collective.
+
+    Raises ``Mistake`` if the file is not there or cannot be read.
+    """
+    return MPI.COMM_WORLD.bcast(on_root(MPI.COMM_WORLD, lambda: read_arrays(path)))
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """``load_checkpoint`` on one process."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise Mistake(f"{path}: there is no checkpoint to resume from; run without --resume") from None
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise Mistake(f"{path}: not a checkpoint that can be read ({error}); delete it or give another --out") from None

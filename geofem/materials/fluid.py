@@ -1,0 +1,134 @@
+"""A viscous, weakly compressible fluid. par = (mu, K): viscosity (Pa s) and bulk modulus (Pa).
+
+tau = J (2 mu dev d - p I) with p = K (1/J - 1) and the rate of deformation d = (I - (f f^T)^-1) / 2 dt: the Almansi
+strain of the step, f = F F_old^-1, over dt; first-order in dt, and zero in any rigid rotation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from geofem.materials import Kernels, values
+from geofem.materials.kinematics import (
+    Array,
+    Floats,
+    det,
+    helper,
+    indices,
+    inverse_plane,
+    inverse_solid,
+    kernel,
+    push,
+    unpack_inverse,
+)
+from geofem.materials.solid import times
+from geofem.scene import Material
+
+
+@helper
+def stress(F: Array, F_old: Array, par: Array, dt: float) -> tuple[Floats, Floats]:
+    """(c, tau) by 6 tensor components each (xx, yy, zz, xy, yz, xz); c = (f f^T)^-1."""
+    if F.shape[0] == 5:
+        i0, i1, i2, i3, i4 = inverse_plane(F)
+        g0, g1 = F_old[0] * i0 + F_old[1] * i2, F_old[0] * i1 + F_old[1] * i3
+        g2, g3 = F_old[2] * i0 + F_old[3] * i2, F_old[2] * i1 + F_old[3] * i3
+        g4 = F_old[4] * i4
+        c = (g0 * g0 + g2 * g2, g1 * g1 + g3 * g3, g4 * g4, g0 * g1 + g2 * g3, 0.0, 0.0)
+    else:
+        i = inverse_solid(F)
+        g0, g1, g2 = times(F_old[0], F_old[1], F_old[2], i)
+        g3, g4, g5 = times(F_old[3], F_old[4], F_old[5], i)
+        g6, g7, g8 = times(F_old[6], F_old[7], F_old[8], i)
+        c = (
+            g0 * g0 + g3 * g3 + g6 * g6, g1 * g1 + g4 * g4 + g7 * g7, g2 * g2 + g5 * g5 + g8 * g8,
+            g0 * g1 + g3 * g4 + g6 * g7, g1 * g2 + g4 * g5 + g7 * g8, g0 * g2 + g3 * g5 + g6 * g8,
+        )  # fmt: skip
+    J = det(F)
+    viscous = par[0] * J / dt
+    sphere = par[1] * (J - 1.0) + viscous * (c[0] + c[1] + c[2]) / 3.0
+    tau = (
+        sphere - viscous * c[0], sphere - viscous * c[1], sphere - viscous * c[2],
+        -viscous * c[3], -viscous * c[4], -viscous * c[5],
+    )  # fmt: skip
+    return c, tau
+
+
+@helper
+def symmetric(t: Floats, full: Array) -> None:
+    """Write the tensor of 6 components into the 3 x 3 array ``full``."""
+    full[0, 0], full[1, 1], full[2, 2] = t[0], t[1], t[2]
+    full[0, 1] = full[1, 0] = t[3]
+    full[1, 2] = full[2, 1] = t[4]
+    full[0, 2] = full[2, 0] = t[5]
+
+
+@kernel
+def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array, A: Array, new_state: Array) -> int:
+    g = F.shape[1]
+    row, column = indices(g)
+    inverse, c, tau, mixed, metric, pulled = np.empty((6, 3, 3))
+    for n in range(F.shape[0]):
+        J = det(F[n])
+        if not J > 0.0:
+            return -1 - n
+        unpack_inverse(F[n], inverse)
+        c_components, tau_components = stress(F[n], F_old[n], par, dt)
+        symmetric(c_components, c)
+        symmetric(tau_components, tau)
+        # With F^-1 on the second legs: pulled = tau F^-T, mixed = F^-1 c, metric = F^-1 F^-T.
+        for i in range(3):
+            for j in range(3):
+                pulled[i, j] = mixed[i, j] = metric[i, j] = 0.0
+                for k in range(3):
+                    pulled[i, j] += tau[i, k] * inverse[j, k]
+                    mixed[i, j] += inverse[i, k] * c[k, j]
+                    metric[i, j] += inverse[i, k] * inverse[j, k]
+        viscous = par[0] * J / dt
+        # d tau / d l = (tau + K I) x I + viscous (d(l^T c + c l) / d l)', and -tau x I from the pull-back of P.
+        for p in range(g):
+            i, j = row[p], column[p]
+            P[n, p] = pulled[i, j]
+            for q in range(g):
+                k, l = row[q], column[q]
+                A[n, p, q] = (
+                    (pulled[i, j] + par[1] * inverse[j, i]) * inverse[l, k]
+                    - pulled[i, l] * inverse[j, k]
+                    + viscous * (inverse[l, i] * mixed[j, k] + c[i, k] * metric[j, l] - 2.0 / 3.0 * inverse[j, i] * mixed[l, k])
+                )
+    return 0
+
+
+@helper
+def point(F: Array, F_old: Array, state: Array, par: Array, dt: float, tau: Array, new_state: Array) -> int:
+    if not det(F) > 0.0:
+        return -1
+    _, t = stress(F, F_old, par, dt)
+    for i in range(tau.shape[0]):
+        tau[i] = t[i]
+    return 0
+
+
+def parameters(material: Material, weakening: float = 1.0) -> Array:
+    """(mu, K)."""
+    p = values(material)
+    return np.array([p["mu"], p["K"]])
+
+
+def wave_speed(par: Array, density: float) -> float:
+    """sqrt(K / density), m/s."""
+    return math.sqrt(par[1] / density)
+
+
+KERNELS = {
+    "newtonian": Kernels(
+        parameters=parameters,
+        state_size=lambda m: 0,
+        small=None,
+        finite=finite,
+        point=point,
+        wave_speed=wave_speed,
+        push=push,
+    )
+}

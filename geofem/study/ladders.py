@@ -1,0 +1,140 @@
+"""Ladders: one scene solved by one variant of a method at growing resolution; and, as data, which ladders suit which scene."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from geofem import methods as registry
+from geofem.mistake import unknown
+
+
+def no_knobs() -> Mapping[str, Any]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """One line of a chart.
+
+    scene_knobs make the problem, method_knobs the variant; ``vary`` is the knob that takes each of ``values``, coarse to fine.
+    label : the variant's name in charts and tables.
+    """
+
+    scene: str
+    method: str
+    label: str
+    values: Sequence[Any]
+    vary: str = "n"
+    scene_knobs: Mapping[str, Any] = field(default_factory=no_knobs)
+    method_knobs: Mapping[str, Any] = field(default_factory=no_knobs)
+
+    @property
+    def runs(self) -> list[dict[str, Any]]:
+        """The knobs of each run."""
+        return [{**self.scene_knobs, **self.method_knobs, self.vary: value} for value in self.values]
+
+    @property
+    def folder(self) -> str:
+        """A name for its folder: readable, and the same whenever the ladder is the same."""
+        knobs = json.dumps([dict(self.scene_knobs), dict(self.method_knobs), self.vary], sort_keys=True)
+        words = re.sub(r"[^a-z0-9]+", "-", f"{self.scene}-{self.label}".lower()).strip("-")
+        return f"{words}-{hashlib.sha256(knobs.encode()).hexdigest()[:6]}"
+
+
+# --- variants of methods: label -> knobs ------------------------------------------------------------------------------
+P1 = {"order": 1, "cell": "triangle"}
+P2 = {"order": 2, "cell": "triangle"}
+P3 = {"order": 3, "cell": "triangle"}
+Q1 = {"order": 1, "cell": "quadrilateral", "quadrature": "full"}
+Q2 = {"order": 2, "cell": "quadrilateral", "quadrature": "full"}
+Q2_REDUCED = {"order": 2, "cell": "quadrilateral", "quadrature": "reduced"}
+MIXED = {"order": 2, "cell": "triangle", "formulation": "mixed"}
+
+
+def fem(scene: str, label: str, knobs: Mapping[str, Any], values: Sequence[int], **scene_knobs: Any) -> Ladder:
+    return Ladder(scene, "fem", f"FEM {label}", values, scene_knobs=scene_knobs, method_knobs=knobs)
+
+
+def points(scene: str, method: str, values: Sequence[int], **scene_knobs: Any) -> Ladder:
+    family, _, kind = method.partition("-")
+    return Ladder(scene, method, f"{family.upper()} {kind}".strip(), values, scene_knobs=scene_knobs)
+
+
+LADDERS: dict[str, list[Ladder]] = {
+    "cook": [
+        fem("cook", "P1", P1, (2, 4, 8, 16, 32), variant="A"),
+        fem("cook", "P2", P2, (2, 4, 8, 16, 32), variant="A"),
+        fem("cook", "P3", P3, (2, 4, 8, 16), variant="A"),
+        fem("cook", "Q2", Q2, (2, 4, 8, 16, 32), variant="A"),
+        fem("cook", "P1", P1, (2, 4, 8, 16), variant="D"),
+        fem("cook", "P2", P2, (2, 4, 8), variant="D"),
+        fem("cook", "P2-P1 mixed", MIXED, (2, 4, 8), variant="D"),
+    ],
+    "beam_drop": [
+        fem("beam_drop", "P2", P2, (1, 2, 4)),
+        points("beam_drop", "mpm-linear", (4, 8, 16)),
+    ],
+    "column": [
+        fem("column", "P1", P1, (8, 16, 32), law="hencky"),
+        fem("column", "P2", P2, (8, 16, 32), law="hencky"),
+        points("column", "mpm-linear", (8, 16, 32), law="hencky"),
+    ],
+    "cantilever": [
+        fem("cantilever", "P1", P1, (1, 2, 4), load="tip", P=1),
+        fem("cantilever", "P2", P2, (1, 2, 4), load="tip", P=1),
+    ],
+    "cavity": [
+        fem("cavity", "Q1", Q1, (2, 4, 8)),
+        fem("cavity", "Q2 reduced", Q2_REDUCED, (2, 4, 8)),
+    ],
+    "footing": [
+        fem("footing", "P1", P1, (2, 4, 8)),
+        fem("footing", "P2", P2, (2, 4, 8)),
+        fem("footing", "Q2 reduced", Q2_REDUCED, (2, 4, 8)),
+    ],
+    "slope": [
+        fem("slope", "P2", P2, (2, 4, 8), case="ex1"),
+        fem("slope", "Q2 reduced", Q2_REDUCED, (2, 4, 8), case="ex1"),
+    ],
+    "vertical_cut": [
+        fem("vertical_cut", "P1", P1, (2, 4, 8)),
+        fem("vertical_cut", "Q2 reduced", Q2_REDUCED, (2, 4, 8)),
+    ],
+    "axial": [
+        fem("axial", "P2", P2, (16, 32, 64)),
+        points("axial", "mpm-linear", (16, 32, 64)),
+    ],
+    "vortex": [
+        fem("vortex", "P1", P1, (4, 8, 16)),
+        fem("vortex", "P2", P2, (4, 8, 16)),
+        points("vortex", "mpm-linear", (4, 8, 16)),
+    ],
+}
+"""The ladders of each scene."""
+
+SAMPLE = [*LADDERS["cook"], *LADDERS["beam_drop"]]
+"""What ``geofem compare`` runs when nothing is asked for: about a minute on two cores. Cook's membrane shows orders (A) and
+locking (D), the falling beam shows finite elements converge where classical material points do not."""
+
+
+def default_ladders(scene: str, methods: Sequence[str] | None = None) -> list[Ladder]:
+    """The ladders of a scene for the named methods, by default for all that the table has for it.
+
+    A method without a line in the table climbs n = 4, 8, 16 with its own defaults, and so does every known method on a scene
+    without one. Raises ``Mistake`` for an unknown method.
+    """
+    known = registry.known()
+    listed = LADDERS.get(scene, [])
+    chosen = list(methods) if methods is not None else list(dict.fromkeys(ladder.method for ladder in listed)) or list(known)
+    ladders: list[Ladder] = []
+    for method in chosen:
+        if method not in known:
+            raise unknown("method", method, known)
+        ladders += [ladder for ladder in listed if ladder.method == method] or [points(scene, method, (4, 8, 16))]
+    return ladders
