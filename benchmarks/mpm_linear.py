@@ -10,13 +10,13 @@ import os
 
 os.environ["NUMBA_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 
-import time  # noqa: E402
+import time
 
-import numpy as np  # noqa: E402
+import numpy as np
 
-from geofem.methods.mpm import LinearMpm  # noqa: E402
-from geofem.methods.mpm.points import FIELDS  # noqa: E402
-from geofem.scene import Box, Material, Region, Scene  # noqa: E402
+from geofem.methods.mpm import LinearMpm
+from geofem.methods.mpm.points import FIELDS
+from geofem.scene import Box, Material, Region, Scene
 
 
 def square(law: str) -> Scene:

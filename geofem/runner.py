@@ -143,7 +143,7 @@ class Run:
                         bar_format="{desc} {percentage:3.0f}% |{bar:30}| t left {remaining} {postfix}",
                         disable=not progress or self.comm.rank != 0)  # fmt: skip
         self.every_frame = scene.t_end / frames if frames else math.inf
-        self.writer = model.writer(folder) if folder is not None and frames else None
+        self.series: io.Series | None = None
 
     def loop(self) -> None:
         """Step to the end, to the breakdown or to an interruption; the result has the status and cause."""
@@ -153,7 +153,9 @@ class Run:
         tiny = 1e-9 * scene.t_end
         if not self.samples:
             self.sample()
-        frame = 0.0
+        frame = model.t + self.every_frame
+        if math.isfinite(self.every_frame):
+            self.draw()
         with Interrupts(self):
             while model.t < scene.t_end - tiny:
                 try:
@@ -163,8 +165,8 @@ class Run:
                     break
                 if model.t >= self.samples[-1][0] + every - tiny or model.t >= scene.t_end - tiny:
                     self.sample()
-                if self.writer and model.t >= frame - tiny:
-                    self.writer.write(model.t)
+                if model.t >= frame - tiny:
+                    self.draw()
                     frame += self.every_frame
                 self.bar.update(model.t / scene.t_end - self.bar.n)
                 due = self.folder is not None and time.monotonic() - last_checkpoint > CHECKPOINT_SECONDS
@@ -178,9 +180,14 @@ class Run:
         self.bar.close()
         if self.samples[-1][0] < model.t:
             self.sample()
-        if self.writer:
-            self.writer.close()
         result.history = dict(zip(self.names, np.array(self.samples).T))
+
+    def draw(self) -> None:
+        """Add the present fields to the series that ParaView opens. Collective."""
+        assert self.folder is not None
+        if self.series is None:
+            self.series = io.Series(self.folder / "fields.pvd", resumed=self.model.t if self.model.t > 0.0 else None)
+        self.series.write(self.model.t, self.model.snapshot())
 
     def break_down(self, end: Breakdown) -> None:
         """Note where and why the method came to its end; losing equilibrium is what a collapse scene looks for."""

@@ -147,25 +147,25 @@ def test_grid_lines_grow_hold_every_knot_and_keep_their_number(
     length: float, places: list[float], breaks: list[float], cells: int, grading: float
 ) -> None:
     poles, knots = [length * p for p in places], [0.0, length, *(length * b for b in breaks)]
-    lines = meshing.axis(knots, cells, poles, grading)
+    lines = meshing.axis(knots, length, cells, poles, grading)
     assert np.all(np.diff(lines) > 0)
     wanted = np.array([*poles, *knots])
     gap = np.abs(wanted[:, None] - lines).min(axis=1)
     assert gap.max() <= 1e-9 * length  # nearer ones count as one
     assert {0.0, length} <= set(lines)
-    # each of at most six parts rounds its number by less than one, and has at least one cell
-    assert abs(len(lines) - 1 - cells) <= 6
+    # each of at most six parts rounds its number by less than one; a pole has n cells within the length on either side
+    assert cells - 6 <= len(lines) - 1 <= cells * max(1, 2 * len(poles)) + 6
 
 
 def test_grading_is_the_power_law() -> None:
-    """Grid lines at (k / n)**g of the distance from the singular point; footing: x about its edge, y about the surface."""
-    lines = meshing.axis([0, 5], 9, [1.0], 2.0)
-    u = np.sign(lines - 1) * np.sqrt(np.abs(lines - 1))  # equal steps on each side: 1 : 2 as the square roots of 1 : 4
-    assert np.allclose(np.diff(u), 1 / 3, rtol=0, atol=1e-14)
+    """Grid lines at length (k / n)**g from the singular point; footing: x about its edge, y about the surface."""
+    lines = meshing.axis([0, 5], 1.0, 3, [1.0], 2.0)
+    u = np.sign(lines - 1) * np.sqrt(np.abs(lines - 1))  # n = 3 steps to the left and, as the root of 4 is 2, 6 to the right
+    assert np.allclose(u, np.arange(-3, 7) / 3, rtol=0, atol=1e-14)
     body = made(scene(Box((0, -4), (5, 0)), singular=((1.0, 0.0),)), n=3, grading=2.0, cell="quadrilateral")
-    assert len(body.regions) == 15 * 12
+    assert len(body.regions) == 9 * 6
     y = np.unique(body.mesh.geometry.x[:, 1])
-    assert np.allclose(y, -4 * (np.arange(12, -1, -1) / 12) ** 2, rtol=0, atol=1e-13)
+    assert np.allclose(y, -4 * (np.arange(6, -1, -1) / 6) ** 2, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
@@ -177,13 +177,10 @@ def test_an_unstructured_mesh_is_graded_by_the_same_law(cell: str) -> None:
     size = np.sqrt(np.ptp(x, axis=1).prod(axis=1))
     distance = np.linalg.norm(x.mean(axis=1) - tip, axis=1)
     assert np.linalg.norm(cells.points - tip, axis=1).min() < 1e-14
-    far = np.hypot(3.2, 1.0)
-    law = grading / n * (distance / far) ** 0.5
+    law = grading / n * distance**0.5
     away = distance > 0.2
     assert 0.5 < np.median(size[away] / law[away]) < 2.0
     assert size.min() < 0.2 / n
-    uniform = meshing.generate(scene(SLOPE), n, cell, 1.0)
-    assert 0.5 < len(cells.cells) / len(uniform.cells) < 1.5
 
 
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])

@@ -305,6 +305,15 @@ def test_no_rest_without_damping() -> None:
     assert cause == "newton" and "no rest" in message
 
 
+def test_a_body_held_by_noise_is_not_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A strip of 100 : 1 stops bending where its points cross cells, held by damping alone: told, not taken for rest."""
+    monkeypatch.setattr("geofem.methods.mpm.model.PATIENCE", 70)
+    strip = Region("strip", Box((0.0, -0.005), (1.0, 0.005)), Material("neo_hooke", 100.0, {"E": 1.2e7, "nu": 0.0}))
+    scene = replace(beam(), regions=(strip,), loads=(Load("gravity", (0.0, -1.0)),), length=0.01, dynamic=False, t_end=1.0)
+    cause, t, _ = fails(replace(scene, room=Box((-0.1, -1.0), (1.1, 0.1)), probes=()), n=1)
+    assert cause == "newton" and t == 0.0
+
+
 # --- bookkeeping ------------------------------------------------------------------------------------------------------
 def test_a_restored_run_goes_on_bitwise() -> None:
     """A checkpoint holds all: the run that took it and another that takes it up agree to the last bit."""
@@ -319,6 +328,21 @@ def test_a_restored_run_goes_on_bitwise() -> None:
     assert one.work == other.work and one.energy() == other.energy() and one.t == other.t
     for name, array in one.state().items():
         assert np.array_equal(array, other.state()[name]), name
+
+
+def test_a_load_step_can_be_taken_up_in_its_middle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Turns of a few steps, each with a checkpoint, end bitwise where one long relaxation does; t waits for the rest."""
+    scene = column("hencky", "finite", 8)
+    whole, _, _ = run(scene, n=8)
+    monkeypatch.setattr("geofem.methods.mpm.model.TURN", 50 * 32)
+    model, turns = build(scene, n=8), 0
+    while model.t < 1.0:
+        assert model.t == 0.0
+        model.step(1.0)
+        state, model, turns = model.state(), build(scene, n=8), turns + 1
+        model.restore(state)
+    assert turns > 2 and model.work == whole.work
+    assert np.array_equal(model.points.x, whole.points.x)
 
 
 def test_sorting_changes_nothing_but_rounding(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,8 +49,8 @@ def build(
     ----------
     n : cells across ``scene.length``.
     cell : ``triangle``, ``quadrilateral``, ``tetrahedron`` or ``hexahedron``.
-    grading : exponent >= 1 of the distance law k**grading towards ``scene.singular``, see ``geofem.core.meshing``; the number
-        of cells across a side stays the same.
+    grading : exponent >= 1 of the distance law k**grading towards ``scene.singular``, see ``geofem.core.meshing``: n cells
+        lie within ``scene.length`` of a singular point, smaller ones near it and larger ones beyond.
     geometry_order : polynomial order of the cells; above 1, those of a ring follow its circles, all others stay straight.
 
     Raises ``Mistake``: shapes that overlap or cannot be meshed, a file that is not a sound mesh, groups that it lacks.

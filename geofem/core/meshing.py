@@ -56,12 +56,12 @@ def generate(scene: Scene, n: int, cell: str, grading: float) -> Cells:
     h = scene.length / n
     first = shapes[0]
     if all(isinstance(shape, Box) for shape in shapes):
-        return boxes(scene.regions, shapes, h, cell, scene.singular, grading)
+        return boxes(scene.regions, shapes, scene.length, n, cell, scene.singular, grading)
     if len(shapes) == 1 and isinstance(first, Ring):
         return ring(first, h, cell, scene.singular, grading)
     if len(shapes) == 1 and isinstance(first, Polygon) and is_mappable(first):
         return mapped(first, n, h, cell, scene.singular, grading)
-    return fragments(scene.regions, shapes, h, cell, scene.singular, grading)
+    return fragments(scene.regions, shapes, scene.length, h, cell, scene.singular, grading)
 
 
 def upright(shape: Any) -> Any:
@@ -74,17 +74,18 @@ def upright(shape: Any) -> Any:
 
 
 # --- mapped grids -----------------------------------------------------------------------------------------------------
-def axis(knots: Sequence[float], cells: int, poles: Sequence[float], grading: float) -> Array:
-    """Grid lines from the lowest to the highest knot: about ``cells`` cells in all, graded towards the poles.
+def axis(knots: Sequence[float], length: float, n: float, poles: Sequence[float], grading: float) -> Array:
+    """Grid lines from the lowest to the highest knot, graded towards the poles: about n cells across ``length`` from a pole.
 
     Every knot and every pole in between is a grid line, exactly. The lines are equally spaced between knots in
-    u = |x - pole|**(1 / grading), with the nearest pole.
+    u = |x - pole|**(1 / grading), with the nearest pole; without a pole in between they are equally spaced.
     """
     low, high = min(knots), max(knots)
     poles = [p for p in poles if low <= p <= high]
     places = distinct([low, high, *poles, *knots], high - low)
     stretch, shrink = distance_law(distinct(poles, high - low), grading)
     u = stretch(places)
+    cells = max(1, round(n * float(u[-1] - u[0]) / (length ** (1 / grading) if poles else length)))
     inner = [shrink(np.linspace(a, b, k + 1)[1:-1]) for a, b, k in zip(u, u[1:], shares(np.diff(u), cells))]
     return np.concatenate([places[:1], *(np.append(line, place) for line, place in zip(inner, places[1:]))])
 
@@ -146,15 +147,17 @@ def split(cells: Array, shape: Sequence[int], cell: str) -> Array:
 
 
 def boxes(
-    regions: Sequence[Region], shapes: Sequence[Box], h: float, cell: str, singular: Sequence[Point], grading: float
+    regions: Sequence[Region],
+    shapes: Sequence[Box],
+    length: float,
+    n: int,
+    cell: str,
+    singular: Sequence[Point],
+    grading: float,
 ) -> Cells:
     """One grid through all boxes, with lines along all their sides; cells outside every box are left out."""
     low, high = np.array([s.low for s in shapes]), np.array([s.high for s in shapes])
-    spans = high.max(0) - low.min(0)
-    axes = [
-        axis([*low[:, d], *high[:, d]], max(1, round(spans[d] / h)), [p[d] for p in singular], grading)
-        for d in range(len(spans))
-    ]
+    axes = [axis([*low[:, d], *high[:, d]], length, n, [p[d] for p in singular], grading) for d in range(low.shape[1])]
     shape = [len(line) - 1 for line in axes]
     points = np.stack([a.ravel() for a in np.meshgrid(*axes[::-1], indexing="ij")[::-1]], axis=1)
     cells = lattice(shape)
@@ -245,7 +248,7 @@ def mapped(shape: Polygon, n: int, h: float, cell: str, singular: Sequence[Point
     if np.allclose(p[0] + p[2], p[1] + p[3], rtol=0, atol=1e-9 * np.abs(side).max()):
         counts = [max(1, round(float(np.linalg.norm(side[k])) / h)) for k in range(2)]
     places = np.array([inverse_bilinear(p, np.array(point)) for point in singular]).reshape(-1, 2)
-    xi, eta = (axis([0.0, 1.0], counts[d], places[:, d].tolist(), grading) for d in range(2))
+    xi, eta = (axis([0.0, 1.0], 1.0, counts[d], places[:, d].tolist(), grading) for d in range(2))
     t, s = (a.ravel()[:, None] for a in np.meshgrid(eta, xi, indexing="ij"))
     points = between(between(p[0], p[1], s), between(p[3], p[2], s), t)
     grid = [len(xi) - 1, len(eta) - 1]
@@ -276,7 +279,8 @@ def ring(shape: Ring, h: float, cell: str, singular: Sequence[Point], grading: f
     """A polar grid: about h in both directions at the mean radius; the number around is a multiple of four."""
     centre = np.array(shape.centre)
     poles = [float(np.linalg.norm(np.array(p) - centre)) for p in singular]
-    radii = axis([shape.inner, shape.outer], max(1, round((shape.outer - shape.inner) / h)), poles, grading)
+    thickness = shape.outer - shape.inner
+    radii = axis([shape.inner, shape.outer], thickness, max(1, round(thickness / h)), poles, grading)
     around = 4 * max(2, round(0.25 * np.pi * (shape.inner + shape.outer) / h))
     angle = 2 * np.pi * np.arange(around) / around
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -310,7 +314,13 @@ def gmsh_model(name: str) -> Iterator[Any]:
 
 
 def fragments(
-    regions: Sequence[Region], shapes: Sequence[Any], h: float, cell: str, singular: Sequence[Point], grading: float
+    regions: Sequence[Region],
+    shapes: Sequence[Any],
+    length: float,
+    h: float,
+    cell: str,
+    singular: Sequence[Point],
+    grading: float,
 ) -> Cells:
     """Unstructured mesh of plane shapes, conforming where they touch; singular points are nodes."""
     with gmsh_model("regions") as gmsh:
@@ -324,15 +334,10 @@ def fragments(
             tags = sorted({tag for found in pieces for _, tag in found})
             owner = np.array([[(2, tag) in found for tag in tags] for found in pieces])
             refuse_overlap(regions, owner)
-            # halving the triangles and quadrilaterals of a mesh of size 2 h is what makes it all quadrilaterals
-            set_size(gmsh, shapes, 2 * h if cell == "quadrilateral" else h, singular, grading)
+            set_size(gmsh, length, h, singular, grading)
             if cell == "quadrilateral":
-                for option, value in (
-                    ("Algorithm", 8),
-                    ("RecombineAll", 1),
-                    ("RecombinationAlgorithm", 1),
-                    ("SubdivisionAlgorithm", 1),
-                ):
+                # halving the triangles and quadrilaterals of a mesh of twice the size makes it all quadrilaterals
+                for option, value in zip(("MeshSizeFactor", "Algorithm", "RecombineAll", "SubdivisionAlgorithm"), (2, 8, 1, 1)):
                     gmsh.option.setNumber(f"Mesh.{option}", value)
             gmsh.model.mesh.generate(2)
         except Exception as error:
@@ -355,20 +360,17 @@ def plane_surface(occ: Any, shape: Any) -> int:
     return occ.addPlaneSurface([occ.addCurveLoop(sides)])
 
 
-def set_size(gmsh: Any, shapes: Sequence[Any], h: float, singular: Sequence[Point], grading: float) -> None:
-    """The mesh size: h everywhere, or the law of grading with its constant such that 1 / h cells per metre are kept.
+def set_size(gmsh: Any, length: float, h: float, singular: Sequence[Point], grading: float) -> None:
+    """The mesh size: h everywhere, or the law of grading h(d) = grading h (d / length)**(1 - 1 / grading).
 
-    From d = 0 to the far end d = L of the body there are L / h cells if h(d) = grading h (d / L)**(1 - 1 / grading);
-    the first of them has the size L (h / L)**grading, which keeps the size from vanishing at the point itself.
+    From d = 0 to d = length there are length / h cells; the first of them has the size length (h / length)**grading, which
+    keeps the size from vanishing at the point itself.
     """
     for option in "MeshSizeFromPoints", "MeshSizeFromCurvature", "MeshSizeExtendFromBoundary":
         gmsh.option.setNumber(f"Mesh.{option}", 0)
     formulas = [repr(h)]
     if singular and grading > 1:
-        bounds = np.array([shape.bounds for shape in shapes])
-        ends = np.array(np.meshgrid(*np.array([bounds[:, 0].min(0), bounds[:, 1].max(0)]).T)).reshape(2, -1).T
-        far = float(np.linalg.norm(ends[:, None] - np.array(singular), axis=2).min(axis=1).max())
-        least, slope, power = far * (h / far) ** grading, grading * h / far ** (1 - 1 / grading), 0.5 - 0.5 / grading
+        least, slope, power = length * (h / length) ** grading, grading * h / length ** (1 - 1 / grading), 0.5 - 0.5 / grading
         formulas = [f"{least!r} + {slope!r} * ((x - ({p[0]!r}))^2 + (y - ({p[1]!r}))^2)^{power!r}" for p in singular]
     fields = []
     for formula in formulas:

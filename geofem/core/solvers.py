@@ -114,12 +114,13 @@ class LinearSolver:
             try:
                 self.ksp.setOperators(self.matrix.mat)
                 self.ksp.solve(self._b, self._x)
+                reason = self.ksp.getConvergedReason()
+                failure = f"reason {reason}" if reason < 0 else ""
             except PETSc.Error as error:
-                # PETSc leaves its objects locked after an error of MUMPS: start again with new ones
-                self._set_up()
-                raise Breakdown("newton", f"the linear solver gave up (PETSc error {error.ierr}); the tangent may be singular") from None
+                failure = f"error {error.ierr}"
+        if failure:
+            # PETSc keeps a failed factor and leaves vectors locked after an error of MUMPS: start again with new objects
+            self._set_up()
+            raise Breakdown("newton", f"the linear solver failed (PETSc {failure}); the tangent may be singular")
         self.iterations += self.ksp.its
-        reason = self.ksp.getConvergedReason()
-        if reason < 0:
-            raise Breakdown("newton", f"the linear solver did not converge (PETSc reason {reason}); the tangent may be singular")
         return self._x.array.copy()

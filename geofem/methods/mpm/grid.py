@@ -16,8 +16,8 @@ FAST = {"fastmath": {"contract", "nsz", "arcp", "reassoc"}, "error_model": "nump
 # velocity behind the strains where that is not V.
 MASS, VX, VY, AX, AY, WX, WY, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 8
 # Sums over one step: kinetic energy and largest squared speed of the points after it; work and impulse of all that is
-# not internal; work of the stresses.
-KINETIC, SPEED2, WORK, IMPULSE_X, IMPULSE_Y, STRAIN_WORK, SUMS = 0, 1, 2, 3, 4, 5, 6
+# not internal; work of the stresses; absolute nodal forces out of balance, and absolute reactions (N).
+KINETIC, SPEED2, WORK, IMPULSE_X, IMPULSE_Y, STRAIN_WORK, UNBALANCE, REACTIONS, SUMS = 0, 1, 2, 3, 4, 5, 6, 7, 8
 # Marks of one step: points that changed cell; the box of cells that hold points; a fault and the point that has it.
 CROSSED, I0, I1, J0, J1, FAULT, POINT, MARKS = 0, 1, 2, 3, 4, 5, 6, 7
 TANGLED, ESCAPED = 1, 2
@@ -119,7 +119,7 @@ def accelerate(grid: Any, box: Any, ny: int, least_mass: float, dt: float, gravi
 
     damping : share of the out-of-balance force that acts against the velocity (local damping, Cundall 1987).
     """
-    work = impulse_x = impulse_y = 0.0
+    work = impulse_x = impulse_y = unbalance = 0.0
     gx, gy = gravity
     for i in range(box[0], box[1]):
         for n in range(i * ny + box[2], i * ny + box[3]):
@@ -127,6 +127,7 @@ def accelerate(grid: Any, box: Any, ny: int, least_mass: float, dt: float, gravi
             if m > least_mass:
                 vx, vy = grid[n, VX], grid[n, VY]
                 ax, ay = grid[n, AX] / m + gx, grid[n, AY] / m + gy
+                unbalance += m * (abs(ax) + abs(ay))
                 if damping > 0.0:
                     dx, dy = damping * abs(ax) * np.sign(vx), damping * abs(ay) * np.sign(vy)
                     ax -= dx
@@ -144,6 +145,7 @@ def accelerate(grid: Any, box: Any, ny: int, least_mass: float, dt: float, gravi
     sums[WORK] += dt * work
     sums[IMPULSE_X] += dt * impulse_x
     sums[IMPULSE_Y] += dt * impulse_y
+    sums[UNBALANCE] = unbalance
 
 
 @njit(cache=True, **FAST)
@@ -161,6 +163,8 @@ def hold(grid: Any, held: Any, least_mass: float, dt: float, gravity: Any, dampi
             grid[n, VX + c] = velocity[k]
             grid[n, AX + c] = (velocity[k] - v) / dt
             reaction[k] = m * ((velocity[k] - v) / dt - undamped)
+            sums[UNBALANCE] -= m * abs(undamped)
+            sums[REACTIONS] += abs(reaction[k])
             sums[WORK] += dt * (reaction[k] * velocity[k] + m * gravity[c] * (velocity[k] - free))
             sums[IMPULSE_X + c] += m * (velocity[k] - free)
 

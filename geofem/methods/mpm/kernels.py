@@ -215,7 +215,7 @@ def make_deform(shape: str, scheme: str, point: Callable[..., int], small: bool)
     return deform
 
 
-@njit(cache=True, **FAST)
+@njit(**FAST)  # no cache: it would outlive a change of the constants in grid.py
 def settle(at, x, lattice, marks):  # type: ignore[no-untyped-def]
     """Put the points where they have come to; count those that change cell, and box the cells that hold points."""
     x0, y0, per_h, nx, ny = lattice

@@ -23,6 +23,11 @@ WORTH_SORTING = 20_000
 """Fewer points than this fit into a processor's cache in any order."""
 RAMP = 5.0
 """Passages of a wave through the body in which a load is raised; the slowest axial mode takes four for one swing."""
+TURN = 10_000_000
+"""Point steps, about a second, after which a scene without inertia gives the run a turn."""
+UNREST = 0.5
+"""Nodal forces out of balance, against the reactions, with which a body that does not move is not at rest: where points have
+crossed cells, local damping can hold it by the noise. What is left of that noise at a true rest is below 0.4."""
 PATIENCE = 400
 """A load step that has not come to rest after so many passages of a wave through the body has failed."""
 
@@ -30,14 +35,15 @@ PATIENCE = 400
 class ExplicitMpm:
     """Material points on a background grid; see ``LinearMpm.build`` for the knobs.
 
-    A scene without inertia is solved by dynamic relaxation: ``step`` raises the load smoothly in a time of its own and goes on,
-    with local damping, until the body is at rest.
+    A scene without inertia is solved by dynamic relaxation: the load rises smoothly in a time of its own, and damped steps go
+    on until the body is at rest; ``t`` is the last load at which it was.
     """
 
     def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, flip: float, scheme: str, cfl: float, damping: float,
                  load_steps: int, tolerance: float, sort_after: float):  # fmt: skip
         self.scene = scene
-        self.t = 0.0
+        self.t = self._now = 0.0
+        self._target, self._time, self._calm = 0.0, 0.0, -1.0  # of the load that is being raised: calm >= 0
         self.work = {"steps": 0, "newton": 0, "linear": 0, "point_steps": 0, "remeshes": 0}
         self.flip, self.cfl, self.damping = flip, cfl, damping
         self.load_steps, self.tolerance, self.sort_after = load_steps, tolerance, sort_after
@@ -87,7 +93,7 @@ class ExplicitMpm:
         return self._courant() if self.scene.dynamic else self.scene.t_end / self.load_steps
 
     def step(self, dt: float) -> None:
-        """One explicit step, or one load step to rest.
+        """One explicit step; in a scene without inertia many of them, of which only the last one moves ``t``.
 
         Raises ``Breakdown``: ``tangle`` (det F <= 0 at a point), ``volume`` (a point left the grid), ``cfl`` (velocities
         beyond ten wave speeds), ``energy`` (twice the energy that was ever put in), ``newton`` (no rest under a load).
@@ -95,23 +101,36 @@ class ExplicitMpm:
         if self.scene.dynamic:
             dt = min(dt, self._courant())
             self._advance(dt, self.t + dt)
+            self.t = self._now
         else:
-            self._load(self.t + dt)
+            self._relax(dt)
 
     def _courant(self) -> float:
         return self.cfl * self.h / (self.wave_speed + math.sqrt(self._sums[g.SPEED2]))
 
-    def _load(self, t1: float) -> None:
-        """Raise the load smoothly to that of t1, and wait until the body has been at rest for the passage of a wave."""
-        t0, ramp, time, calm = self.t, RAMP * self.passage, 0.0, 0.0
-        while calm < self.passage:
-            dt = self._courant()
-            time += dt
-            s = min(1.0, time / ramp)
-            self._advance(dt, t0 + (t1 - t0) * s * s * (3.0 - 2.0 * s) if s < 1.0 else t1)
-            calm = calm + dt if s == 1.0 and self._kinetic <= self.tolerance * abs(self._external) else 0.0
-            if time > PATIENCE * self.passage:
-                raise Breakdown("newton", f"no rest under the load of t = {t1:.4g}: kinetic energy still {self._kinetic:.3g} J")
+    def _relax(self, dt: float) -> None:
+        """Raise the load by dt smoothly, and wait until the body has been at rest for the passage of a wave.
+
+        Comes back before that after ``TURN`` point steps, so that the run can be watched and stopped.
+        """
+        turn = self.work["point_steps"] + TURN
+        if self._calm < 0.0:  # a new load
+            self._target, self._time, self._calm = self.t + dt, 0.0, 0.0
+        while self.work["point_steps"] < turn:
+            h = self._courant()
+            self._time += h
+            s = min(1.0, self._time / (RAMP * self.passage))
+            self._advance(h, self.t + (self._target - self.t) * s * s * (3.0 - 2.0 * s) if s < 1.0 else self._target)
+            balanced = self._sums[g.UNBALANCE] <= UNREST * self._sums[g.REACTIONS]
+            quiet = s == 1.0 and balanced and self._kinetic <= self.tolerance * abs(self._external)
+            self._calm = self._calm + h if quiet else 0.0
+            if self._calm >= self.passage:
+                self.t, self._calm = self._target, -1.0
+                return
+            if self._time > PATIENCE * self.passage:
+                raise Breakdown(
+                    "newton", f"no rest under the load of t = {self._target:.4g}: kinetic energy {self._kinetic:.3g} J"
+                )
 
     def _advance(self, dt: float, t1: float) -> None:
         """One explicit step of dt (s) that ends at the scene's time t1."""
@@ -119,19 +138,19 @@ class ExplicitMpm:
         sums, marks = self._sums, self._marks
         gx = gy = 0.0
         for load in self._gravity:
-            factor = self.scene.amplitude(load, self.t)
+            factor = self.scene.amplitude(load, self._now)
             gx += factor * load.value[0]
             gy += factor * load.value[1]
         self._body_force[:] = 0.0
         for load in self._body:
-            self._body_force += self.scene.amplitude(load, self.t) * np.asarray(load.value(q.X.T, self.t)).T
-        self.held.follow(self.t, t1, dt)
+            self._body_force += self.scene.amplitude(load, self._now) * np.asarray(load.value(q.X.T, self._now)).T
+        self.held.follow(self._now, t1, dt)
         settings = (self._body_force, lattice, nodes, held, self.least_mass, dt, (gx, gy), self.damping, self.flip, sums, marks)
         self._to_grid(q.at, q.x, q.v, q.mass, q.volume, q.tau, *settings)
         for deform, arrays, par, first in self._deform:
             deform(*arrays, par, lattice, nodes, dt, sums, marks, first)
         self._to_points(q.at, q.x, q.v, q.mass, *settings)
-        self.t = t1
+        self._now = t1
         self._account()
 
     def _account(self) -> None:
@@ -150,13 +169,13 @@ class ExplicitMpm:
             p = marks[g.POINT]
             place = f"the material point of ({q.X[p, 0]:.4g}, {q.X[p, 1]:.4g}) m, now at ({q.x[p, 0]:.4g}, {q.x[p, 1]:.4g}) m,"
             if marks[g.FAULT] == g.ESCAPED:
-                raise Breakdown("volume", f"{place} left the background grid at t = {self.t:.4g}")
-            raise Breakdown("tangle", f"{place} is turned inside out (det F <= 0) at t = {self.t:.4g}")
+                raise Breakdown("volume", f"{place} left the background grid at t = {self._now:.4g}")
+            raise Breakdown("tangle", f"{place} is turned inside out (det F <= 0) at t = {self._now:.4g}")
         if not sums[g.SPEED2] <= (10.0 * self.wave_speed) ** 2:  # nan fails too
-            raise Breakdown("cfl", f"a material point is faster than ten wave speeds at t = {self.t:.4g}")
+            raise Breakdown("cfl", f"a material point is faster than ten wave speeds at t = {self._now:.4g}")
         growth = self._kinetic + self._internal - self._external - self._energy_at_start
         if growth > self._energy_at_start + self._largest_work:
-            raise Breakdown("energy", f"more than twice the energy put in is there at t = {self.t:.4g}")
+            raise Breakdown("energy", f"more than twice the energy put in is there at t = {self._now:.4g}")
         self._crossed += int(marks[g.CROSSED])
         if self._crossed > self.sort_after * len(q.id) >= self.sort_after * WORTH_SORTING:
             with phase("sort"):
@@ -254,8 +273,10 @@ class ExplicitMpm:
 
     # --- checkpoints --------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
-        balance = [self.t, self._kinetic, self._internal, self._external, self._largest_kinetic, self._largest_work]
+        clock = [self.t, self._now, self._target, self._time, self._calm]
+        balance = [self._kinetic, self._internal, self._external, self._largest_kinetic, self._largest_work]
         return {name: getattr(self.points, name).copy() for name in FIELDS} | {
+            "clock": np.array(clock),
             "balance": np.array(balance),
             "impulse": self._impulse.copy(),
             "sums": self._sums.copy(),
@@ -267,9 +288,8 @@ class ExplicitMpm:
         for name in FIELDS:
             getattr(self.points, name)[:] = state[name]
         self.points.place[self.points.id] = np.arange(len(self.points.id))
-        self.t, self._kinetic, self._internal, self._external, self._largest_kinetic, self._largest_work = state[
-            "balance"
-        ].tolist()
+        self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
+        self._kinetic, self._internal, self._external, self._largest_kinetic, self._largest_work = state["balance"].tolist()
         self._impulse[:] = state["impulse"]
         self._sums[:] = state["sums"]
         self._crossed = int(state["crossed"])
