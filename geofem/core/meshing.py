@@ -134,15 +134,15 @@ def lattice(shape: Sequence[int]) -> Array:
 def split(cells: Array, shape: Sequence[int], cell: str) -> Array:
     """Tensor cells as they are, or cut into simplices: (m, parts, nodes).
 
-    Squares are cut by diagonals of alternating direction, so that an even grid is symmetric and has no corner held by a
-    single triangle; cubes into the six tetrahedra around one space diagonal (Kuhn 1960).
+    Squares are cut by parallel diagonals, but for the two corners of the grid that these would leave to a single triangle:
+    with alternating directions linear triangles hardly lock, which no mesh of a real body would grant them. Cubes are cut into the six tetrahedra around one space diagonal (Kuhn 1960).
     """
     if cell in ("quadrilateral", "hexahedron"):
         return cells[:, None]
     if cell == "triangle":
-        odd = np.indices(shape[::-1]).sum(axis=0).ravel() % 2 == 1
-        cuts = np.array([[[0, 1, 3], [0, 3, 2]], [[0, 1, 2], [1, 3, 2]]])
-        return np.where(odd[:, None, None], cells[:, cuts[1]], cells[:, cuts[0]])
+        parts = cells[:, [[0, 1, 2], [1, 3, 2]]]
+        parts[[0, -1]] = cells[[0, -1]][:, [[0, 1, 3], [0, 3, 2]]]
+        return parts
     return cells[:, [[0, 1, 3, 7], [0, 5, 1, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 6, 4, 7]]]
 
 
