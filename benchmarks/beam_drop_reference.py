@@ -36,7 +36,7 @@ if __name__ == "__main__":
     soft, soft_time, soft_space = extrapolated(1)
     stiff, stiff_time, stiff_space = extrapolated(100)
     lines = [
-        f"# overkill: fem, P{ORDER} triangles, total Lagrangian, {N} cells across graded towards the clamped corners (exponent {GRADING}),",
+        f"# fem, P{ORDER} triangles, total Lagrangian, {N} cells across graded towards the clamped corners (exponent {GRADING}),",
         f"# trapezoidal rule with {STEPS} and {2 * STEPS} steps, extrapolated; by the amplitude, the last halving of the time step",
         f"# changed the curve by {soft_time:.1e} (stiffness 1) and {stiff_time:.1e} (100), that of the cells by {soft_space:.1e} and "
         f"{stiff_space:.1e};",

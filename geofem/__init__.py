@@ -9,8 +9,10 @@ Importing the package loads neither dolfinx nor numba: a public name is fetched 
 
 from __future__ import annotations
 
+import hashlib
 import os
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -38,6 +40,13 @@ if TYPE_CHECKING:
 # libraries read these once, when they load. What the user has set stands.
 for _cap in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_cap, "1")
+
+# Numba looks at the file of a kernel to see whether its machine code is still good, not at the files of the functions that it
+# calls: code of another state of the package must not be found.
+_files = sorted((str(path), path.stat().st_mtime_ns) for path in Path(__file__).parent.rglob("*.py"))
+_stamp = hashlib.sha256(repr(_files).encode()).hexdigest()[:12]
+_caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+os.environ.setdefault("NUMBA_CACHE_DIR", str(_caches / "geofem" / f"numba-{_stamp}"))
 
 __all__ = [
     "Box", "Breakdown", "Crack", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe", "Reference",

@@ -107,5 +107,5 @@ def write_npz(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write an .npz whole or not at all."""
     part = path.with_name(path.name + ".part")
     with part.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, allow_pickle=False, **arrays)
     os.replace(part, path)

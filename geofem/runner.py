@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -17,11 +18,11 @@ from typing import Any
 
 import numba
 import numpy as np
+from mpi4py import MPI
 from tqdm import tqdm
 
-from geofem import materials, methods, scenes
-from geofem.core import io  # isort: skip  - loads the wheel of dolfinx before mpi4py
-from mpi4py import MPI  # isort: skip
+from geofem import doctor, materials, methods, scenes
+from geofem.core import io
 from geofem.cost import CLOCK, peak_rss_mb
 from geofem.methods import Model
 from geofem.mistake import Breakdown, Mistake, unknown
@@ -108,12 +109,15 @@ def run(
         raise Mistake("'resume' and 'frames' need 'out', the folder of the run")
     made, method_knobs = resolve(scene, method, knobs)
     name = made.name if not isinstance(scene, str) else scene
-    result = Result(name, method, knobs={**made.knobs, **knobs}, ranks=MPI.COMM_WORLD.size, versions=versions(), savings=dict(made.savings))
+    result = Result(
+        name, method, knobs={**made.knobs, **knobs}, ranks=MPI.COMM_WORLD.size, versions=versions(), savings=dict(made.savings)
+    )
     result.reference = {m.name: reference_of(m) for m in made.measures if m.reference is not None}
     reason = methods.get(method).refuses(made)
     if reason is not None:
         result.status, result.message = "refused", reason
         return result
+    heal()
     CLOCK.reset()
     start_wall, start_cpu = time.perf_counter(), time.process_time()
     with CompileTimes():
@@ -128,6 +132,15 @@ def run(
     if folder is not None and MPI.COMM_WORLD.rank == 0:
         result.save(folder)
     return result
+
+
+@cache
+def heal() -> None:
+    """Once a process: remove what a compilation that was killed left behind, so that no rank waits for it. Collective."""
+    if MPI.COMM_WORLD.rank == 0:
+        for lock in doctor.heal_stale_locks():
+            log.warning("removed %s, left by a compilation that was interrupted", lock)
+    MPI.COMM_WORLD.Barrier()
 
 
 class Run:
@@ -219,7 +232,10 @@ class Run:
         if self.folder is not None and self.comm.rank == 0:
             self.folder.mkdir(parents=True, exist_ok=True)
             arrays = {f"model_{k}": v for k, v in state.items()}
-            write_npz(self.folder / "checkpoint.npz", arrays | {"samples": np.array(self.samples), "identity": np.array(self.identity)})
+            write_npz(
+                self.folder / "checkpoint.npz",
+                arrays | {"samples": np.array(self.samples), "identity": np.array(self.identity)},
+            )
 
     def resume(self) -> None:
         """Take up ``checkpoint.npz``. Raises ``Mistake`` if it is missing, unreadable or of another run."""
@@ -283,7 +299,7 @@ def finish(scene: Scene, model: Model, result: Result) -> None:
 def reference_of(measure: Measure) -> dict[str, Any]:
     reference = measure.reference
     assert reference is not None
-    out: dict[str, Any] = {"value": reference.value, "kind": reference.kind, "source": reference.source}
+    out: dict[str, Any] = {"value": reference.value, "kind": reference.kind, "source": reference.source, "unit": measure.unit}
     if reference.lower is not None:
         out |= {"lower": reference.lower, "upper": reference.upper}
     return out

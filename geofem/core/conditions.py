@@ -68,7 +68,7 @@ class Loads:
             if load.kind == "gravity":
                 forms.constants["gravity"].value[:] = np.asarray(load.value, float)[:gdim]
                 self._dead.append((load, self._assemble(forms.form("gravity"))))
-            elif load.kind == "traction":
+            elif load.kind == "traction" and load.where is not None:
                 forms.constants["traction"].value[:] = np.asarray(load.value, float)[:gdim]
                 self._dead.append((load, self._assemble(forms.form("traction", facets(body, load.where, "traction")))))
             elif load.kind == "body":
@@ -104,7 +104,7 @@ class Loads:
 
 def follower_facets(scene: Scene, body: Body) -> list[np.ndarray]:
     """The boundary facets of each pressure of a scene, in the order of ``Loads``."""
-    return [facets(body, load.where, "pressure") for load in scene.loads if load.kind == "pressure"]
+    return [facets(body, load.where, "pressure") for load in scene.loads if load.kind == "pressure" and load.where is not None]
 
 
 def quadrature_positions(forms: Forms) -> np.ndarray:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import basix
@@ -139,7 +139,7 @@ class Symbols:
     constants: dict[str, Any]
 
 
-@lru_cache(maxsize=None)
+@cache
 def symbols(template: Template) -> Symbols:
     domain = ufl.Mesh(template.geometry)
     space = ufl.FunctionSpace(domain, template.element)
@@ -170,10 +170,14 @@ def abstract_form(template: Template, kind: str) -> Any:
     f = ufl.Identity(3) + gradient(u, x, template.plane)
 
     def dx(region: int, degree: int = template.degree) -> Any:
-        return ufl.Measure("dx", domain=s.mesh, metadata={"quadrature_degree": degree, "quadrature_scheme": "default"})(region + 1)
+        return ufl.Measure("dx", domain=s.mesh, metadata={"quadrature_degree": degree, "quadrature_scheme": "default"})(
+            region + 1
+        )
 
     def everywhere(integrand: Callable[[int], Any], degree: int = template.degree) -> Any:
-        return sum((integrand(i) * weight * dx(i, degree) for i in range(1, len(template.laws))), integrand(0) * weight * dx(0, degree))
+        return sum(
+            (integrand(i) * weight * dx(i, degree) for i in range(1, len(template.laws))), integrand(0) * weight * dx(0, degree)
+        )
 
     def density(i: int) -> Any:
         # rho of the mesh's configuration: mass is counted in the reference one
@@ -190,21 +194,32 @@ def abstract_form(template: Template, kind: str) -> Any:
 
     def conjugate(w: Any) -> Any:
         # the virtual strain that point kernels' stress works on
-        return small_strain(w, x, template.plane) if template.strain == "small" else as_vector(gradient(w, x, template.plane), template.plane)
+        if template.strain == "small":
+            return small_strain(w, x, template.plane)
+        return as_vector(gradient(w, x, template.plane), template.plane)
 
     def ds(facets: int) -> Any:
-        return ufl.Measure("ds", domain=s.mesh, metadata={"quadrature_degree": load_degree, "quadrature_scheme": "default"})(facets + 1)
+        return ufl.Measure("ds", domain=s.mesh, metadata={"quadrature_degree": load_degree, "quadrature_scheme": "default"})(
+            facets + 1
+        )
 
     def pressure(i: int) -> Any:
         normal = ufl.FacetNormal(s.mesh)
         normal = ufl.as_vector([*(normal[k] for k in range(template.gdim)), *([0] if template.gdim == 2 else [])])
         pushed = ufl.det(f) * ufl.inv(f).T * normal if template.strain == "finite" else normal
-        return s.constants[f"pressure{i}"] * ufl.inner(ufl.as_vector([pushed[k] for k in range(template.gdim)]), v) * weight * ds(i)
+        return (
+            s.constants[f"pressure{i}"]
+            * ufl.inner(ufl.as_vector([pushed[k] for k in range(template.gdim)]), v)
+            * weight
+            * ds(i)
+        )
 
     load_degree = 2 * template.order
     if kind in ("residual", "tangent"):
         if template.laws[0] == "points":
-            inner = everywhere(lambda i: ufl.inner(s.stress if kind == "residual" else s.tangent * conjugate(trial), conjugate(v)))
+            inner = everywhere(
+                lambda i: ufl.inner(s.stress if kind == "residual" else s.tangent * conjugate(trial), conjugate(v))
+            )
         else:
             inner = ufl.derivative(everywhere(energy), s.unknown, test)
             inner = inner if kind == "residual" else ufl.derivative(inner, s.unknown, trial)
@@ -243,7 +258,7 @@ def cauchy_vector(template: Template, unknown: Any, base: Any, lam: Any, mu: Any
     return ufl.as_vector([stress[i, j] for i, j in pairs])
 
 
-@lru_cache(maxsize=None)
+@cache
 def compiled(template: Template, kind: str) -> Any:
     with phase("jit"):
         return fem.compile_form(MPI.COMM_WORLD, abstract_form(template, kind), jit_options=dict(JIT))
@@ -288,7 +303,7 @@ class Forms:
         if not hasattr(self, "body"):
             self.body = self._quadrature_function(symbols(self.template).body)
 
-    def form(self, kind: str, facets: Sequence[int] | None = None) -> fem.Form:
+    def form(self, kind: str, facets: np.ndarray | None = None) -> fem.Form:
         """The form of that kind on this mesh; ``facets`` (local indices) for those that integrate over the boundary."""
         code = compiled(self.template, kind)
         domains: dict[fem.IntegralType, list[tuple[int, np.ndarray]]] = {}

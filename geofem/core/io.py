@@ -1,20 +1,23 @@
-"""Files of a run: a series of pictures that ParaView opens, and checkpoints that any number of ranks can take up.
+"""Files of a run: pictures and fields that ParaView opens, and checkpoints that any number of ranks can take up.
 
-Pictures are .vtu files with a .pvd index. Of the alternatives, VTX (.bp) cannot be read by VTK's Python wheel, which lacks
-ADIOS2, and holds functions of one element on one mesh; dolfinx 0.11 writes one field to a VTKHDF file, at the nodes or in
-the cells. Neither holds particles or a mesh that changes.
+``Series`` writes .vtu files with a .pvd index from what rank 0 gathered: for all models, particles and changing meshes too.
+``FieldFile`` writes VTX (.bp) by all ranks through dolfinx and ADIOS2: for models on one mesh, without gathering anything, with
+the full polynomial order. dolfinx 0.11's writer of VTKHDF was tried and is not used: a file takes one field, always called
+``u``, at the nodes of the geometry or in the cells, and its mesh cannot move.
 """
 
 from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from dolfinx import fem
+from dolfinx.io import VTXMeshPolicy, VTXWriter
 from mpi4py import MPI
 
 from geofem.core.mpi import on_root
@@ -65,6 +68,37 @@ class Series:
         self.entries.append((t, file))
         rows = "".join(f'<DataSet timestep="{t!r}" file="{file}"/>\n' for t, file in self.entries)
         replace_text(self.path, f'<VTKFile type="Collection" version="0.1"><Collection>\n{rows}</Collection></VTKFile>\n')
+
+
+class FieldFile:
+    """Lagrange functions over time in one VTX file (a folder ``path``.bp), written by all ranks together. Collective.
+
+    functions : all of one element on one mesh; each is named by its ``name``, and vectors get three components.
+    moving : the mesh moves between the times, so that it is written at each of them.
+    resumed : the t of the run that is taken up. dolfinx cannot append, so the file is then named after this t.
+
+    The geometry is the mesh where it stands: warp it by the displacement in ParaView only if it does not move. What is written
+    is whole after every ``write``, also if the run is killed later.
+
+    Raises ``Mistake`` if this dolfinx was built without ADIOS2.
+
+    Verified by reading with the ADIOS2 package of PyPI (2.12): points, connectivity, all functions and times, from 1 and 2
+    ranks. Not verified in ParaView itself: its reader of this format, vtkADIOS2VTXReader, is not in VTK's wheel (9.7).
+    """
+
+    def __init__(self, path: Path, functions: Sequence[fem.Function], moving: bool = False, resumed: float | None = None):
+        self.path = path.with_name(f"{path.stem}{f'_from_{resumed:g}' if resumed else ''}.bp")
+        comm = functions[0].function_space.mesh.comm
+        on_root(comm, lambda: self.path.parent.mkdir(parents=True, exist_ok=True))
+        policy = VTXMeshPolicy.update if moving else VTXMeshPolicy.reuse
+        self._writer = VTXWriter(comm, self.path, list(functions), mesh_policy=policy)
+
+    def write(self, t: float) -> None:
+        """Add the present values of the functions, ghosts included, as those of time t."""
+        self._writer.write(t)
+
+    def close(self) -> None:
+        self._writer.close()
 
 
 def load_checkpoint(path: Path) -> dict[str, np.ndarray]:

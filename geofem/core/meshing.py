@@ -135,7 +135,8 @@ def split(cells: Array, shape: Sequence[int], cell: str) -> Array:
     """Tensor cells as they are, or cut into simplices: (m, parts, nodes).
 
     Squares are cut by parallel diagonals, but for the two corners of the grid that these would leave to a single triangle:
-    with alternating directions linear triangles hardly lock, which no mesh of a real body would grant them. Cubes are cut into the six tetrahedra around one space diagonal (Kuhn 1960).
+    with alternating directions linear triangles hardly lock, which no mesh of a real body would grant them. Cubes are cut into
+    the six tetrahedra around one space diagonal (Kuhn 1960).
     """
     if cell in ("quadrilateral", "hexahedron"):
         return cells[:, None]

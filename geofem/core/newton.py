@@ -128,7 +128,9 @@ class Newton:
             if norm > DIVERGED * max(first, self.scale):
                 break
         if norm > self.tolerance * self.scale:
-            raise Breakdown("newton", f"no balance in {MAX_ITERATIONS} iterations: force {norm:.1e} among forces of {self.scale:.1e}")
+            raise Breakdown(
+                "newton", f"no balance in {MAX_ITERATIONS} iterations: force {norm:.1e} among forces of {self.scale:.1e}"
+            )
 
     def _leave_circles(self, norms: list[float]) -> None:
         """Mix in some elastic tangent while the last iterations are no better than those before."""

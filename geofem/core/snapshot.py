@@ -17,7 +17,9 @@ CELLS = {5: "triangle", 22: "triangle6", 69: "triangle", 9: "quad", 70: "quad", 
 CORNERS = {69: 3, 70: 4, 71: 4, 72: 8}
 
 
-def picture(space: fem.FunctionSpace, X: np.ndarray, displacement: np.ndarray, cell_data: dict[str, np.ndarray]) -> dict[str, Any]:
+def picture(
+    space: fem.FunctionSpace, X: np.ndarray, displacement: np.ndarray, cell_data: dict[str, np.ndarray]
+) -> dict[str, Any]:
     """Deformed nodes, cells, displacement and cell data of all ranks on rank 0 ({} elsewhere).
 
     X : (nodes, gdim) reference positions and displacement : (nodes, gdim), local, ghosts included.

@@ -59,7 +59,9 @@ class PointState:
                 self._trial_strain = compose(values, self.strain) if updated else values
             else:
                 self._trial_strain = values
-            for law, points, history, trial, parameters in zip(self.laws, self._points, self.history, self._trial, self._parameters):
+            for law, points, history, trial, parameters in zip(
+                self.laws, self._points, self.history, self._trial, self._parameters
+            ):
                 whole = len(self.laws) == 1
                 now, old = (a if whole else a[points] for a in (self._trial_strain, self.strain))
                 s, d = (stress, tangent) if whole else (np.empty((len(points), size)), np.empty((len(points), size, size)))
@@ -70,6 +72,7 @@ class PointState:
                     if self.forms.template.updated:
                         law.push(s, d, old)
                 else:
+                    assert law.small is not None, "the method refuses laws without small strain"
                     plastic = law.small(now - old, history, parameters, s, d, trial)
                     if self.elastic_share:
                         d *= 1.0 - self.elastic_share

@@ -70,8 +70,12 @@ class Entry:
 
 
 METHODS = {
-    "fem": Entry("geofem.methods.lagrangian:Fem", "finite elements on a mesh that follows the material (total or updated Lagrangian)"),
-    "mpm-linear": Entry("geofem.methods.mpm:LinearMpm", "material points with classical hat functions on a background grid, explicit"),
+    "fem": Entry(
+        "geofem.methods.lagrangian:Fem", "finite elements on a mesh that follows the material (total or updated Lagrangian)"
+    ),
+    "mpm-linear": Entry(
+        "geofem.methods.mpm:LinearMpm", "material points with classical hat functions on a background grid, explicit"
+    ),
 }
 
 

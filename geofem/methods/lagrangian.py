@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 from mpi4py import MPI
 
 from geofem import materials
@@ -69,7 +66,11 @@ class Fem:
         """
         plastic = any(region.material.law in ISOCHORIC for region in scene.regions)
         if cell is None:
-            cell = ("quadrilateral" if plastic else "triangle") if scene.gdim == 2 else ("hexahedron" if plastic else "tetrahedron")
+            cell = (
+                ("quadrilateral" if plastic else "triangle")
+                if scene.gdim == 2
+                else ("hexahedron" if plastic else "tetrahedron")
+            )
         tensor = cell in ("quadrilateral", "hexahedron")
         quadrature = quadrature or ("reduced" if plastic and tensor else "full")
         grading = grading if grading is not None else (2.0 if plastic else 1.0)
@@ -115,19 +116,24 @@ class Fem:
             raise Mistake(f"knob n = {n}: the number of cells across the scene's length is a whole number, at least 1")
         if steps is not None and (not isinstance(steps, int) or steps < 1):
             raise Mistake(f"knob steps = {steps}: give a whole number, at least 1")
-        if CELLS[cell] != scene.gdim:
-            raise Mistake(f"knob cell = {cell!r}: scene {scene.name} is {scene.gdim}D; choose {' or '.join(c for c, d in CELLS.items() if d == scene.gdim)}")
+        fitting = [name for name, dimension in CELLS.items() if dimension == scene.gdim]
+        if cell not in fitting:
+            raise Mistake(f"knob cell = {cell!r}: scene {scene.name} is {scene.gdim}D; choose {' or '.join(fitting)}")
         top = 2 if cell in ("quadrilateral", "hexahedron") else 3
         if order not in range(1, top + 1):
             raise Mistake(f"knob order = {order}: {cell}s come in orders 1 to {top}")
         if quadrature == "reduced" and cell in ("triangle", "tetrahedron"):
-            raise Mistake(f"knob quadrature = 'reduced': is for quadrilaterals and hexahedra; {cell}s have no rule of one point less")
+            raise Mistake(
+                f"knob quadrature = 'reduced': is for quadrilaterals and hexahedra; {cell}s have no rule of one point less"
+            )
         if formulation == "mixed" and order < 2:
             raise Mistake("knob order = 1: the mixed form needs order 2 or 3, its pressure is one order less")
         if formulation == "mixed" and not all(region.material.law in UFL_LAWS for region in scene.regions):
             raise Mistake(f"knob formulation = 'mixed': is there for {' and '.join(UFL_LAWS)} only")
         if frame == "updated" and scene.strain == "small":
-            raise Mistake(f"knob frame = 'updated': scene {scene.name} has small strains, where the mesh does not move; use 'total'")
+            raise Mistake(
+                f"knob frame = 'updated': scene {scene.name} has small strains, where the mesh does not move; use 'total'"
+            )
         if not grading >= 1:
             raise Mistake(f"knob grading = {grading}: is an exponent of at least 1 (uniform cells)")
 

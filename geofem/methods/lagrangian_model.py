@@ -6,24 +6,25 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import ufl
 from dolfinx import fem, la
 from mpi4py import MPI
 
 from geofem.core import snapshot
 from geofem.core.conditions import Condition, DisplacementDofs, Loads, follower_facets
-from geofem.core.forms import Forms, Template, strain_vector
+from geofem.core.forms import Forms, Template
 from geofem.core.mesh import Body
 from geofem.core.mpi import gather_by_id
 from geofem.core.newton import Balance, Newton
 from geofem.core.sampling import MaterialPoint
 from geofem.core.solvers import LinearSolver, Matrix
-from geofem.core.state import PointState, compose
+from geofem.core.state import PointState, compose, tensors
 from geofem.core.time import GeneralisedAlpha
 from geofem.cost import phase
 from geofem.mistake import Breakdown
 from geofem.scene import Probe, Scene
 
+CRUSHED = 0.01
+"""Where a step leaves less than this part of a volume, the mesh has tangled: laws of finite strain resist to the last."""
 SMALLEST_STEP = 1e-3
 """A step is cut no further than this fraction of the first one."""
 
@@ -36,7 +37,9 @@ class LagrangianModel:
     arrays over the dofs of the unknown (the pressure of the mixed form, which has no inertia, comes with them).
     """
 
-    def __init__(self, scene: Scene, template: Template, body: Body, steps: int, rho_inf: float, tolerance: float, elastic: bool):
+    def __init__(
+        self, scene: Scene, template: Template, body: Body, steps: int, rho_inf: float, tolerance: float, elastic: bool
+    ):
         self.scene, self.template, self.body = scene, template, body
         self.comm = body.mesh.comm
         self.t = 0.0
@@ -57,12 +60,19 @@ class LagrangianModel:
         self._matrix = Matrix(forms.form("tangent"))
         self._solver = LinearSolver(self._matrix, forms.space, definite=elastic and not template.mixed and not followers)
         bcs = [condition.bc for condition in self.conditions]
-        self._newton = Newton(forms.unknown, bcs, self._solver, self._balance, self._linearise, tolerance, self._stabilise if not elastic else None)
+        self._newton = Newton(
+            forms.unknown,
+            bcs,
+            self._solver,
+            self._balance,
+            self._linearise,
+            tolerance,
+            self._stabilise if not elastic else None,
+        )
         self.owned = self._newton.owned
         self.displacement, self.v, self.a = (np.zeros_like(forms.unknown.x.array) for _ in range(3))
         if template.updated:
             self._nodes = geometry_nodes(self.dofs.space)
-            self._gradient = forms.expression(strain_vector(forms.unknown, ufl.SpatialCoordinate(body.mesh), template))
         self._external = self.loads.external(0.0)
         self.loads.set_followers(0.0)
         self._update_points()
@@ -199,6 +209,7 @@ class LagrangianModel:
                 self._attempt(dt)
                 break
             except Breakdown as end:
+                cause = "tangle" if self._crushed() else end.cause
                 self.forms.unknown.x.array[:] = start
                 self._external = external
                 self._set_time(self.t, dt)
@@ -206,11 +217,18 @@ class LagrangianModel:
                 self.work["cuts"] += 1
                 dt *= 0.5
                 if dt < SMALLEST_STEP * self._first_dt:
-                    raise Breakdown(end.cause, f"{end}; at t = {self.t:.4g}, after cutting the step to {dt:.1e}") from None
+                    raise Breakdown(cause, f"{end}; at t = {self.t:.4g}, after cutting the step to {dt:.1e}") from None
                 self._dt = dt
         self._accept(dt, external)
         if dt >= self._dt:
             self._dt = min(self._first_dt, 1.5 * self._dt)
+
+    def _crushed(self) -> bool:
+        """True if the state that Newton left has points on some rank whose volume is gone or turned inside out."""
+        if self.scene.strain == "small":
+            return False
+        f = tensors(self.forms.evaluate(self._gradient()))
+        return self.comm.allreduce(bool(np.any(~(np.linalg.det(f) > CRUSHED))), op=MPI.LOR)
 
     def _set_time(self, t: float, dt: float) -> None:
         moved = self.displacement if self.template.updated else None
@@ -263,7 +281,7 @@ class LagrangianModel:
         """Carry the mesh with the material; F of the new configuration is the base, and the unknown starts from zero."""
         forms = self.forms
         base = forms.base.x.array.reshape(-1, 9 if self.scene.gdim == 3 else 5)
-        base[:] = compose(forms.evaluate(self._gradient), base)
+        base[:] = compose(forms.evaluate(self._gradient()), base)
         x = self.dofs.X + self.displacement[self.dofs.index].reshape(self.dofs.X.shape)
         forms.mesh.geometry.x[self._nodes, : self.scene.gdim] = x
         forms.unknown.x.array[self.dofs.index] = 0.0
@@ -319,6 +337,10 @@ class LagrangianModel:
     def _cauchy(self) -> np.ndarray:
         """Cauchy stress at the quadrature points, (points, 4 or 6)."""
         return self.points.cauchy() if self.points else self.forms.evaluate(self._stress())
+
+    @cache  # noqa: B019
+    def _gradient(self) -> fem.Expression:
+        return self.forms.strain()
 
     @cache  # noqa: B019
     def _stress(self) -> fem.Expression:
@@ -393,7 +415,7 @@ class LagrangianModel:
             stored = state[f"cells_{name}"][self.body.original_cells].reshape(values.shape)
             if name == "base":
                 self.forms.base.x.array[:] = stored.ravel()
-            else:
+            elif self.points:
                 self.points.take(name, stored)
         if self.template.updated:
             x = self.dofs.X + self.displacement[self.dofs.index].reshape(self.dofs.X.shape)

@@ -48,7 +48,12 @@ def scene(*, stiffness: int = 1) -> Scene:
         beam(stiffness),
         measures=(
             Measure("tip", "-", error=tip_error, reference=Reference("overkill", source)),
-            Measure("tip_min", "m", lambda history: float(history["tip"].min()), reference=Reference("overkill", source, float(tip.min()))),
+            Measure(
+                "tip_min",
+                "m",
+                lambda history: float(history["tip"].min()),
+                reference=Reference("overkill", source, float(tip.min())),
+            ),
         ),
     )
 

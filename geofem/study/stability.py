@@ -110,7 +110,7 @@ def survey(this: Map, out: Path) -> list[Line]:
     def line(variant: Variant) -> list[Point]:
         return [judge(this, variant, x, done) for x in sorted(at[variant.label], reverse=down)]
 
-    with tqdm(total=1 + this.bisections, desc=f"map {this.name}", unit="round", file=sys.stderr) as progress:
+    with tqdm(total=1 + this.bisections, desc=f"map {this.name}", unit="round", file=sys.stderr, disable=None) as progress:
         for _ in range(1 + this.bisections):
             wanted = [(variant, x) for variant in this.variants for x in at[variant.label]]
             also = [(this.reference, x) for _, x in wanted] if this.reference else []

@@ -18,7 +18,8 @@ from typing import Any, TextIO
 from tqdm import tqdm
 
 from geofem import scenes as registry
-from geofem.mistake import Mistake
+from geofem.methods import known as known_methods
+from geofem.mistake import Mistake, unknown
 from geofem.result import Result
 from geofem.study import report, rows
 from geofem.study.ladders import SAMPLE, Ladder, default_ladders
@@ -116,7 +117,7 @@ def run(ladders: Iterable[Ladder], out: Path, repeats: int = 3, timeout: float =
     ladders = list(ladders)
     here = machine()
     found: list[Row] = []
-    with tqdm(total=sum(len(ladder.values) for ladder in ladders), file=sys.stderr, unit="run") as progress:
+    with tqdm(total=sum(len(ladder.values) for ladder in ladders), file=sys.stderr, unit="run", disable=None) as progress:
         try:
             for ladder in ladders:
                 progress.set_description(f"{ladder.scene} {ladder.label}")
@@ -139,6 +140,9 @@ def compare(scenes: Sequence[str], methods: Sequence[str] | None, out: Path, rep
     Without a scene, the sample of about a minute, of the named methods if any. Returns the new rows; the charts and the report
     show these and what ``out`` held before. Raises ``Mistake`` for an unknown scene or method, and if nothing could be run.
     """
+    for name in methods or ():
+        if name not in known_methods():
+            raise unknown("method", name, known_methods())
     for name in scenes:
         if ":" not in name:  # file.py:function is the worker's to find
             registry.get(name)
