@@ -264,7 +264,7 @@ def summary(result: Result, out: Path | None) -> str:
         parts = [f"{result.qoi[name]:.6g}"] if result.qoi.get(name) is not None else []
         known = result.reference.get(name)
         if known:
-            parts.append(f"reference {reference_text(known)} ({known['kind']}: {known['source']})")
+            parts.append(f"reference {reference_text(known)} ({known['kind']})")
         if result.error.get(name) is not None:
             parts.append(f"error {100 * result.error[name]:.3g} %")
         lines.append(f"  {name:14}{', '.join(parts)}")

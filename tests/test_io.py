@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -42,11 +44,54 @@ assert "dolfinx" not in sys.modules
 """
 
 
+WRITE_FIELDS = """
+import sys
+from pathlib import Path
+import geofem.core.io as io, numpy as np
+from dolfinx import fem, mesh
+from mpi4py import MPI
+square = mesh.create_unit_square(MPI.COMM_WORLD, 4, 3)
+space = fem.functionspace(square, ("Lagrange", 2, (2,)))
+u, v = (fem.Function(space, name=name) for name in ("displacement", "velocity"))
+x, X = square.geometry.x, square.geometry.x.copy()
+moving = sys.argv[2] == "moving"
+file = io.FieldFile(Path(sys.argv[1]), [u, v], moving=moving, resumed=0.25 if sys.argv[2] == "resumed" else None)
+for t in (0.0, 0.1 + 0.2, 1.0):
+    # on the resting mesh u = t (x^2, x y); a moving one stands at x (1 + t), and u is that of its reference position
+    stretch = 1 + t if moving else 1.0
+    x[:] = stretch * X
+    u.interpolate(lambda y: t * np.stack([y[0] ** 2, y[0] * y[1]]) / stretch**2)
+    v.interpolate(lambda y: np.stack([y[1] + t, y[0] - t]))
+    file.write(t)
+if sys.argv[2] == "killed":
+    import os; os._exit(0)
+file.close()
+"""
+READ_FIELDS = """
+import json, sys, adios2
+out = []
+with adios2.Stream(sys.argv[1], "r") as file:
+    for _ in file.steps():
+        there = file.available_variables()
+        blocks = range(int(there["NumberOfNodes"]["Shape"]))
+        names = [n for n in ("geometry", "connectivity", "displacement", "velocity") if n in there]
+        out.append({"t": float(file.read("step")), **{n: [file.read(n, block_id=b).tolist() for b in blocks] for n in names}})
+    schema = file.read_attribute("vtk.xml")
+print(json.dumps([schema, out]))
+assert "dolfinx" not in sys.modules
+"""
+
+
+def run_python(code: str, *words: str | Path) -> str:
+    """What a piece of Python prints, in a process of its own."""
+    done = subprocess.run([sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
 def read_back(path: Path) -> list:
     """What VTK sees in a series, in a process of its own."""
-    done = subprocess.run([sys.executable, "-c", READ, str(path)], capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    return json.loads(run_python(READ, path))
 
 
 def test_a_series_is_read_by_vtk_though_the_mesh_changes_to_particles(tmp_path: Path) -> None:
@@ -133,3 +178,68 @@ def test_a_damaged_checkpoint_is_a_mistake_of_one_line(tmp_path: Path, how: str)
     text = str(caught.value)
     assert str(path) in text and "\n" not in text
     assert ("--resume" if how == "missing" else "--out") in text
+
+
+needs_adios2 = pytest.mark.skipif(
+    importlib.util.find_spec("adios2") is None, reason="reading .bp files back needs the package adios2: uv pip install adios2"
+)
+
+
+def read_fields(path: Path) -> tuple[str, list]:
+    """What ADIOS2 finds in a .bp file: the schema that ParaView reads it by, and per time the blocks of all ranks, joined."""
+    schema, times = json.loads(run_python(READ_FIELDS, path))
+    joined = [{name: np.concatenate(v) if isinstance(v, list) else v for name, v in row.items()} for row in times]
+    for row, raw in zip(joined, times):
+        if "connectivity" in row:
+            # a row of the connectivity is the number of its nodes and then the nodes, numbered within the rank's block
+            offsets = np.cumsum([0] + [len(block) for block in raw["geometry"]])
+            row["connectivity"] = np.concatenate([np.array(c)[:, 1:] + o for c, o in zip(raw["connectivity"], offsets)])
+    return schema, joined
+
+
+def area(points: np.ndarray, cells: np.ndarray) -> float:
+    """Of the triangles spanned by the first three nodes of each cell."""
+    a, b, c = (points[cells[:, k], :2] for k in range(3))
+    return 0.5 * float(np.abs(np.cross(b - a, c - a)).sum())
+
+
+@needs_adios2
+@pytest.mark.mpi
+@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("how", ["resting", "moving"])
+def test_quadratic_fields_come_back_exactly_from_every_rank(
+    tmp_path: Path, mpirun: Callable[..., str], ranks: int, how: str
+) -> None:
+    mpirun(ranks, "-c", WRITE_FIELDS, str(tmp_path / "new" / "fields.bp"), how)
+    schema, rows = read_fields(tmp_path / "new" / "fields.bp")
+    assert all(f'Name="{name}"' in schema for name in ("displacement", "velocity", "geometry", "connectivity"))
+    assert [row["t"] for row in rows] == [0.0, 0.1 + 0.2, 1.0]
+    assert ["geometry" in row for row in rows] == [True, how == "moving", how == "moving"]
+    for row in rows:
+        t, points = row["t"], row.get("geometry", rows[0]["geometry"])
+        stretch = 1 + t if how == "moving" else 1.0
+        # 9 x 7 nodes of 24 quadratic triangles on the unit square, those on the border of a rank twice
+        assert len(np.unique(np.round(points, 9), axis=0)) == 63
+        cells = row.get("connectivity", rows[0]["connectivity"])
+        assert len(cells) == 24
+        # rounding only: P2 holds x^2 and x y exactly
+        assert area(points, cells) == pytest.approx(stretch**2, rel=1e-13)
+        x, y, zero = points.T
+        X, Y = x / stretch, y / stretch
+        np.testing.assert_allclose(row["displacement"], np.stack([t * X**2, t * X * Y, zero], axis=1), atol=1e-14)
+        np.testing.assert_allclose(row["velocity"], np.stack([y + t, x - t, zero], axis=1), atol=1e-14)
+
+
+@needs_adios2
+def test_fields_of_a_run_that_was_killed_can_be_read(tmp_path: Path) -> None:
+    run_python(WRITE_FIELDS, tmp_path / "fields.bp", "killed")
+    _, rows = read_fields(tmp_path / "fields.bp")
+    assert [row["t"] for row in rows] == [0.0, 0.1 + 0.2, 1.0]
+
+
+def test_a_resumed_run_leaves_the_fields_written_before(tmp_path: Path) -> None:
+    run_python(WRITE_FIELDS, tmp_path / "fields.bp", "resting")
+    before = {file.name: file.read_bytes() for file in (tmp_path / "fields.bp").iterdir()}
+    run_python(WRITE_FIELDS, tmp_path / "fields.bp", "resumed")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fields.bp", "fields_from_0.25.bp"]
+    assert {file.name: file.read_bytes() for file in (tmp_path / "fields.bp").iterdir()} == before

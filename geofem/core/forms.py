@@ -27,6 +27,7 @@ from mpi4py import MPI
 from geofem.core import JIT
 from geofem.cost import phase
 from geofem.materials import ufl_energy
+from geofem.scene import Material
 
 UFL_LAWS = ("linear_elastic", "neo_hooke")
 """Laws whose energy UFL differentiates; all others go through point kernels and quadrature functions."""
@@ -297,6 +298,21 @@ class Forms:
         function = fem.Function(fem.functionspace(self.mesh, symbol.ufl_function_space().ufl_element()))
         self._coefficients[symbol] = function
         return function
+
+    def set_parameters(self, materials: Sequence[Material]) -> None:
+        """Give the constants of the forms the densities and, for UFL laws, the Lame parameters of the regions' materials."""
+        for i, material in enumerate(materials):
+            self.constants[f"density{i}"].value = material.density
+            if self.template.laws[i] == "points":
+                continue
+            E, nu = material.parameters["E"], material.parameters["nu"]
+            mu = E / (2.0 * (1.0 + nu))
+            inv_lam = (1.0 + nu) * (1.0 - 2.0 * nu) / (E * nu) if nu else np.inf
+            lam = 1.0 / inv_lam if inv_lam else np.inf
+            if self.template.plane == "plane_stress":
+                lam = 2.0 * lam * mu / (lam + 2.0 * mu)
+            for name, value in ("mu", mu), ("lam", lam), ("inv_lam", inv_lam):
+                self.constants[f"{name}{i}"].value = value
 
     def need_body(self) -> None:
         """Make ``body``, the body force per mass at the quadrature points (m/s2)."""

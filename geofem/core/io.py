@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import dolfinx.io
 import numpy as np
 from dolfinx import fem
-from dolfinx.io import VTXMeshPolicy, VTXWriter
 from mpi4py import MPI
 
 from geofem.core.mpi import on_root
@@ -71,33 +71,34 @@ class Series:
 
 
 class FieldFile:
-    """Lagrange functions over time in one VTX file (a folder ``path``.bp), written by all ranks together. Collective.
+    """Lagrange functions over time in one VTX file (a folder, ``path`` ending in .bp), written by all ranks together. Collective.
 
-    functions : all of one element on one mesh; each is named by its ``name``, and vectors get three components.
-    moving : the mesh moves between the times, so that it is written at each of them.
-    resumed : the t of the run that is taken up. dolfinx cannot append, so the file is then named after this t.
+    functions : all of one element on one mesh, their ghosts up to date when they are written; a function is found by its ``name``.
+    moving : the mesh moves, so that it is written at every time and not only at the first.
+    resumed : the t of a run that is taken up; dolfinx cannot append, and the file is then named after this t.
 
-    The geometry is the mesh where it stands: warp it by the displacement in ParaView only if it does not move. What is written
-    is whole after every ``write``, also if the run is killed later.
+    The points are where the mesh stands: in ParaView, warp by the displacement only what does not move. Each ``write`` is on the
+    disk when it returns, should the run be killed later. Raises ``Mistake`` where dolfinx was built without ADIOS2.
 
-    Raises ``Mistake`` if this dolfinx was built without ADIOS2.
-
-    Verified by reading with the ADIOS2 package of PyPI (2.12): points, connectivity, all functions and times, from 1 and 2
-    ranks. Not verified in ParaView itself: its reader of this format, vtkADIOS2VTXReader, is not in VTK's wheel (9.7).
+    Verified with the ADIOS2 package of PyPI (2.12.1): points, cells, functions and times come back, for orders 1 to 3, from 1 and
+    2 ranks. ParaView's own reader, vtkADIOS2VTXReader, could not be tried: VTK's wheel (9.7) does not have it.
     """
 
     def __init__(self, path: Path, functions: Sequence[fem.Function], moving: bool = False, resumed: float | None = None):
-        self.path = path.with_name(f"{path.stem}{f'_from_{resumed:g}' if resumed else ''}.bp")
+        if not dolfinx.has_adios2:
+            raise Mistake("this build of DOLFINx lacks ADIOS2 and cannot write .bp files; use the wheel dolfinx-solver-real")
+        self.path = path.with_name(f"{path.stem}_from_{resumed:g}.bp" if resumed else f"{path.stem}.bp")
         comm = functions[0].function_space.mesh.comm
         on_root(comm, lambda: self.path.parent.mkdir(parents=True, exist_ok=True))
-        policy = VTXMeshPolicy.update if moving else VTXMeshPolicy.reuse
-        self._writer = VTXWriter(comm, self.path, list(functions), mesh_policy=policy)
+        policy = dolfinx.io.VTXMeshPolicy.update if moving else dolfinx.io.VTXMeshPolicy.reuse
+        self._writer = dolfinx.io.VTXWriter(comm, self.path, list(functions), mesh_policy=policy)
 
     def write(self, t: float) -> None:
-        """Add the present values of the functions, ghosts included, as those of time t."""
+        """Add the present values of the functions as those of time t."""
         self._writer.write(t)
 
     def close(self) -> None:
+        """Finish the file."""
         self._writer.close()
 
 

@@ -29,14 +29,14 @@ ROUNDING = 1e-6
 
 
 @dataclass
-class Balance:
+class Residual:
     """What an evaluation of the out-of-balance force found.
 
-    force : residual with ghosts summed into their owners. scale : size of the forces that balance (N).
+    force : (dofs,) local array, ghosts summed into their owners. scale : size of the forces that balance (N).
     valid : False on a rank where the state is inadmissible (det F <= 0).
     """
 
-    force: la.Vector
+    force: np.ndarray
     scale: float
     valid: bool
 
@@ -48,8 +48,9 @@ class Newton:
     ----------
     unknown : the function to be changed in place.
     bcs : Dirichlet conditions, their values already those of the new state.
-    balance : () -> Balance at the current unknown (collective).
-    linearise : (bcs) -> None, fills the solver's matrix with the tangent at the current unknown.
+    evaluate : () -> Residual at the current unknown (collective).
+    linearise : () -> None, fills the solver's matrix with the tangent at the current unknown.
+    lift : (b) -> None, subtracts from b the tangent times the prescribed increments, ghosts not yet summed.
     tolerance : out-of-balance force relative to the forces that balance.
     stabilise : (share) mixes a share of the elastic tangent into that of a plastic law, taken where the iteration goes round in
         circles between the faces of yield surfaces. With it, the force must fall at every iteration; without, it may grow.
@@ -60,13 +61,14 @@ class Newton:
         unknown: fem.Function,
         bcs: list[fem.DirichletBC],
         solver: LinearSolver,
-        balance: Callable[[], Balance],
-        linearise: Callable[[list[fem.DirichletBC]], None],
+        evaluate: Callable[[], Residual],
+        linearise: Callable[[], None],
+        lift: Callable[[np.ndarray], None],
         tolerance: float,
         stabilise: Callable[[float], None] | None = None,
     ):
         self.unknown, self.bcs, self.solver = unknown, bcs, solver
-        self.balance, self.linearise, self.tolerance = balance, linearise, tolerance
+        self.evaluate, self.linearise, self.lift, self.tolerance = evaluate, linearise, lift, tolerance
         self.stabilise, self.monotone = stabilise, stabilise is not None
         self.comm = unknown.function_space.mesh.comm
         self.owned = unknown.function_space.dofmap.index_map.size_local * unknown.function_space.dofmap.index_map_bs
@@ -77,10 +79,10 @@ class Newton:
             dofs, _ = bc.dof_indices()
             self._free[dofs[dofs < self.owned]] = False
 
-    def _norm(self, balance: Balance) -> float:
+    def _norm(self, residual: Residual) -> float:
         """Norm of the force at the free dofs, infinite where any rank's state is inadmissible."""
-        force = balance.force.array[: self.owned][self._free]
-        local = float(force @ force) if balance.valid else np.inf
+        force = residual.force[: self.owned][self._free]
+        local = float(force @ force) if residual.valid else np.inf
         total = self.comm.allreduce(local if np.isfinite(local) else np.inf, op=MPI.SUM)
         return float(np.sqrt(total))
 
@@ -91,11 +93,8 @@ class Newton:
             bc.set(gap)
         return self.comm.allreduce(float(np.abs(gap - self.unknown.x.array).max(initial=0.0)), op=MPI.MAX)
 
-    def solve(self, lift: Callable[[np.ndarray, list[fem.DirichletBC]], None]) -> None:
-        """Iterate to balance. Raises ``Breakdown`` (newton, tangle) if that fails; the unknown is then left wherever it was.
-
-        lift : (b, bcs) subtracts from b the tangent times the prescribed increments, ghosts not yet summed.
-        """
+    def solve(self) -> None:
+        """Iterate to balance. Raises ``Breakdown`` (newton, tangle) if that fails; the unknown is then left wherever it was."""
         now, norm = self._evaluate()
         if not np.isfinite(norm):
             raise Breakdown("tangle", "the step starts from an inadmissible state")
@@ -106,7 +105,7 @@ class Newton:
             if not pending and norm <= self.tolerance * self.scale:
                 return
             self._leave_circles(norms)
-            correction = self._correct(now, lift if pending else None)
+            correction = self._correct(now, pending)
             before, previous, length = self.unknown.x.array.copy(), norm, 1.0
             for _ in range(MAX_HALVINGS):
                 self.unknown.x.array[: self.owned] = before[: self.owned] + length * correction
@@ -139,20 +138,20 @@ class Newton:
         circling = len(norms) > CIRCLE and min(norms[-CIRCLE:]) > 0.5 * min(norms[:-CIRCLE])
         self.stabilise(ELASTIC_SHARE if circling else 0.0)
 
-    def _evaluate(self) -> tuple[Balance, float]:
-        now = self.balance()
+    def _evaluate(self) -> tuple[Residual, float]:
+        now = self.evaluate()
         return now, self._norm(now)
 
-    def _correct(self, now: Balance, lift: Callable[[np.ndarray, list[fem.DirichletBC]], None] | None) -> np.ndarray:
+    def _correct(self, now: Residual, pending: bool) -> np.ndarray:
         """The full Newton correction of the owned dofs, prescribed increments included."""
         space = self.unknown.function_space
         with phase("assemble"):
-            self.linearise(self.bcs)
+            self.linearise()
             rhs = la.vector(space.dofmap.index_map, space.dofmap.index_map_bs)
-            if lift is not None:
-                lift(rhs.array, self.bcs)
+            if pending:
+                self.lift(rhs.array)
                 rhs.scatter_reverse(la.InsertMode.add)
-        rhs.array[: self.owned] -= now.force.array[: self.owned]
+        rhs.array[: self.owned] -= now.force[: self.owned]
         for bc in self.bcs:
             bc.set(rhs.array, self.unknown.x.array)
         self.iterations += 1
@@ -163,7 +162,7 @@ class Newton:
             if self.stabilise is None:
                 raise
             self.stabilise(ELASTIC_SHARE)
-            self.linearise(self.bcs)
+            self.linearise()
             return self.solver.solve(rhs.array[: self.owned])
 
     def _rounding(self, previous: float) -> float:

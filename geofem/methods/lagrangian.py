@@ -98,7 +98,7 @@ class Fem:
         if steps is None:
             steps = 25 * n if scene.dynamic else 1 if linear else 4
         tolerance = tolerance or (1e-5 if plastic else 1e-9)
-        return LagrangianModel(scene, template, body, steps, rho_inf, tolerance, elastic=not plastic)
+        return LagrangianModel(scene, template, body, steps, rho_inf, tolerance, plastic)
 
     def _check(self, scene: Scene, n: int, order: int, cell: str, formulation: str, frame: str, quadrature: str,
                grading: float, steps: int | None) -> None:  # fmt: skip
@@ -130,6 +130,8 @@ class Fem:
             raise Mistake("knob order = 1: the mixed form needs order 2 or 3, its pressure is one order less")
         if formulation == "mixed" and not all(region.material.law in UFL_LAWS for region in scene.regions):
             raise Mistake(f"knob formulation = 'mixed': is there for {' and '.join(UFL_LAWS)} only")
+        if formulation == "mixed" and any(region.material.parameters["nu"] <= 0 for region in scene.regions):
+            raise Mistake("knob formulation = 'mixed': needs Poisson's ratio above 0; use the displacement form")
         if frame == "updated" and scene.strain == "small":
             raise Mistake(
                 f"knob frame = 'updated': scene {scene.name} has small strains, where the mesh does not move; use 'total'"

@@ -196,7 +196,9 @@ def draw_panel(axes: Axes, group: Sequence[Row], measure: str, budget: str, refe
     draw_failures(axes, group, budget, look)
     axes.set_xlabel("CPU time (s)" if budget == "cpu" else "degrees of freedom")
     unit = reference.get("unit")
-    axes.set_ylabel(f"{measure} ({unit})" if banded and unit not in (None, "-") else measure if banded else f"relative error of {measure}")
+    axes.set_ylabel(
+        f"{measure} ({unit})" if banded and unit not in (None, "-") else measure if banded else f"relative error of {measure}"
+    )
     axes.xaxis.set_major_formatter("{x:g}" if budget == "cpu" else LogFormatterMathtext())
     left, right = axes.get_xlim()
     axes.xaxis.set_minor_formatter(between if right / left < 100 else NullFormatter())
