@@ -6,6 +6,8 @@ on one rank PETSc looks at the CSR arrays without copying them; on several ranks
 
 from __future__ import annotations
 
+from typing import Any
+
 import dolfinx.fem.petsc as fem_petsc
 import numpy as np
 from dolfinx import fem, la
@@ -14,6 +16,8 @@ from petsc4py import PETSc
 from geofem.cost import phase
 from geofem.mistake import Breakdown
 
+OURS: set[str] = set()
+"""Names of PETSc options that hold our defaults and not the user's wish."""
 ITERATIVE_DOFS = 30_000
 """3D problems above this many dofs are solved by CG + GAMG, all others by MUMPS (nine times faster at 98k dofs in 3D)."""
 
@@ -99,13 +103,8 @@ class LinearSolver:
         if self._iterative:
             options = {"ksp_type": "cg", "ksp_rtol": 1e-10, "ksp_max_it": 500, "pc_type": "gamg", "mg_levels_ksp_type": "chebyshev",
                        "mg_levels_pc_type": "jacobi"}  # fmt: skip
-        given = PETSc.Options()
-        ours = [name for name in options if not given.hasName(name)]
-        for name in ours:
-            given[name] = options[name]
+        set_defaults(options)
         self.ksp.setFromOptions()
-        for name in ours:
-            given.delValue(name)
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """A^-1 rhs for the owned dofs with the current entries of the matrix. Raises ``Breakdown`` (newton) where that fails."""
@@ -124,3 +123,15 @@ class LinearSolver:
             raise Breakdown("newton", f"the linear solver failed (PETSc {failure}); the tangent may be singular")
         self.iterations += self.ksp.its
         return self._x.array.copy()
+
+
+def set_defaults(options: dict[str, Any]) -> None:
+    """Put options into PETSc's database where the user has not set them; they stay, as PETSc reads some of them late."""
+    given = PETSc.Options()
+    if given.hasName("pc_type") and "pc_type" not in OURS:
+        # another preconditioner has no use for the options of ours
+        options = {name: value for name, value in options.items() if name.startswith("ksp_")}
+    for name, value in options.items():
+        if name in OURS or not given.hasName(name):
+            given[name] = value
+            OURS.add(name)
