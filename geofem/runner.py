@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from geofem import doctor, materials, methods, scenes
 from geofem.core import io
+from geofem.core.mpi import install_abort_hook
 from geofem.cost import CLOCK, peak_rss_mb
 from geofem.methods import Model
 from geofem.mistake import Breakdown, Mistake, unknown
@@ -117,7 +118,7 @@ def run(
     if reason is not None:
         result.status, result.message = "refused", reason
         return result
-    heal()
+    prepare()
     CLOCK.reset()
     start_wall, start_cpu = time.perf_counter(), time.process_time()
     with CompileTimes():
@@ -135,8 +136,10 @@ def run(
 
 
 @cache
-def heal() -> None:
-    """Once a process: remove what a compilation that was killed left behind, so that no rank waits for it. Collective."""
+def prepare() -> None:
+    """Once a process: see that no rank waits for one that has failed, or for a compilation that was killed. Collective."""
+    if MPI.COMM_WORLD.size > 1 and sys.excepthook is sys.__excepthook__:
+        install_abort_hook()
     if MPI.COMM_WORLD.rank == 0:
         for lock in doctor.heal_stale_locks():
             log.warning("removed %s, left by a compilation that was interrupted", lock)
@@ -189,6 +192,7 @@ class Run:
                     last_checkpoint = time.monotonic()
                 if stop:
                     result.status, result.message = "partial", f"interrupted at t = {model.t:.6g} of {scene.t_end:g}"
+                    result.at = self.place()
                     break
         self.bar.close()
         if self.samples[-1][0] < model.t:
@@ -204,11 +208,15 @@ class Run:
 
     def break_down(self, end: Breakdown) -> None:
         """Note where and why the method came to its end; losing equilibrium is what a collapse scene looks for."""
-        t = self.model.t
-        self.result.at = {"t": t, **(self.scene.at(t) if self.scene.at else {})}
+        self.result.at = self.place()
         self.result.message = str(end)
         if not (self.scene.collapse and end.cause == "newton"):
             self.result.status, self.result.cause = "failed", end.cause
+
+    def place(self) -> dict[str, float]:
+        """Where the run stands."""
+        t = self.model.t
+        return {"t": t, **(self.scene.at(t) if self.scene.at else {})}
 
     def sample(self) -> None:
         energy = self.model.energy()

@@ -12,6 +12,7 @@ from geofem.mistake import Mistake
 from geofem.scene import Scene
 
 CELLS = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
+TENSOR = ("quadrilateral", "hexahedron")
 ISOCHORIC = ("von_mises", "tresca", "mohr_coulomb", "drucker_prager")
 """Laws whose plastic flow locks elements that cannot keep their volume."""
 
@@ -71,10 +72,9 @@ class Fem:
                 if scene.gdim == 2
                 else ("hexahedron" if plastic else "tetrahedron")
             )
-        tensor = cell in ("quadrilateral", "hexahedron")
-        quadrature = quadrature or ("reduced" if plastic and tensor else "full")
         grading = grading if grading is not None else (2.0 if plastic else 1.0)
-        self._check(scene, n, order, cell, formulation, frame, quadrature, grading, steps)
+        self._check(scene, n, order, cell, formulation, frame, grading, steps)
+        check_element(order, cell, quadrature)
 
         mixed = formulation == "mixed"
         for region in scene.regions:
@@ -82,8 +82,16 @@ class Fem:
         all_ufl = all(region.material.law in UFL_LAWS for region in scene.regions)
         updated = frame == "updated"
         body = meshes.build(MPI.COMM_WORLD, scene, n=n, cell=cell, grading=grading, geometry_order=order if updated else 1)
+        # a mesh file brings cells of its own
+        cell = body.mesh.topology.cell_name()
+        check_element(order, cell, quadrature)
+        quadrature = quadrature or ("reduced" if plastic and cell in TENSOR else "full")
+        if updated and body.mesh.geometry.cmap.degree != order:
+            raise Mistake(
+                f"knob frame = 'updated': the mesh file has cells of order {body.mesh.geometry.cmap.degree}; use that order"
+            )
         template = Template(
-            cell=body.mesh.topology.cell_name(),
+            cell=cell,
             geometry=body.mesh.ufl_domain().ufl_coordinate_element(),
             order=order,
             plane=scene.plane,
@@ -91,7 +99,7 @@ class Fem:
             laws=tuple(region.material.law if all_ufl else "points" for region in scene.regions),
             mixed=mixed,
             updated=updated,
-            degree=quadrature_degree(order, tensor, quadrature == "reduced", scene.strain),
+            degree=quadrature_degree(order, cell in TENSOR, quadrature == "reduced", scene.strain),
             followers=sum(load.kind == "pressure" for load in scene.loads),
         )
         linear = scene.strain == "small" and all_ufl
@@ -100,14 +108,13 @@ class Fem:
         tolerance = tolerance or (1e-5 if plastic else 1e-9)
         return LagrangianModel(scene, template, body, steps, rho_inf, tolerance, plastic)
 
-    def _check(self, scene: Scene, n: int, order: int, cell: str, formulation: str, frame: str, quadrature: str,
-               grading: float, steps: int | None) -> None:  # fmt: skip
+    def _check(self, scene: Scene, n: int, order: int, cell: str, formulation: str, frame: str, grading: float,
+               steps: int | None) -> None:  # fmt: skip
         """Raise ``Mistake`` for the first knob that cannot be."""
         choices = {
             "cell": (cell, tuple(CELLS)),
             "formulation": (formulation, ("displacement", "mixed")),
             "frame": (frame, ("total", "updated")),
-            "quadrature": (quadrature, ("full", "reduced")),
         }
         for name, (value, known) in choices.items():
             if value not in known:
@@ -119,13 +126,6 @@ class Fem:
         fitting = [name for name, dimension in CELLS.items() if dimension == scene.gdim]
         if cell not in fitting:
             raise Mistake(f"knob cell = {cell!r}: scene {scene.name} is {scene.gdim}D; choose {' or '.join(fitting)}")
-        top = 2 if cell in ("quadrilateral", "hexahedron") else 3
-        if order not in range(1, top + 1):
-            raise Mistake(f"knob order = {order}: {cell}s come in orders 1 to {top}")
-        if quadrature == "reduced" and cell in ("triangle", "tetrahedron"):
-            raise Mistake(
-                f"knob quadrature = 'reduced': is for quadrilaterals and hexahedra; {cell}s have no rule of one point less"
-            )
         if formulation == "mixed" and order < 2:
             raise Mistake("knob order = 1: the mixed form needs order 2 or 3, its pressure is one order less")
         if formulation == "mixed" and not all(region.material.law in UFL_LAWS for region in scene.regions):
@@ -138,6 +138,19 @@ class Fem:
             )
         if not grading >= 1:
             raise Mistake(f"knob grading = {grading}: is an exponent of at least 1 (uniform cells)")
+
+
+def check_element(order: int, cell: str, quadrature: str | None) -> None:
+    """Raise ``Mistake`` for a combination that is no element."""
+    top = 2 if cell in TENSOR else 3
+    if order not in range(1, top + 1):
+        raise Mistake(f"knob order = {order}: {cell}s come in orders 1 to {top}")
+    if quadrature not in (None, "full", "reduced"):
+        raise Mistake(f"knob quadrature = {quadrature!r}: choose from full, reduced")
+    if quadrature == "reduced" and cell not in TENSOR:
+        raise Mistake(
+            f"knob quadrature = 'reduced': is for quadrilaterals and hexahedra; {cell}s have no rule of one point less"
+        )
 
 
 def quadrature_degree(order: int, tensor: bool, reduced: bool, strain: str) -> int:
