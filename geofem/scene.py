@@ -251,6 +251,7 @@ class Scene:
     weakening : t -> factor by which the strength (c and tan phi) is divided at t (strength reduction).
     at : t -> where the run stands in the scene's own terms, like {"amplitude": 0.3}; a failure is reported with it.
     savings : what was not modelled and why, as factors: {"symmetry": 0.5} solves half of the full body.
+    dimensionless : True if lengths and stresses have no unit, so that pictures show none.
     knobs : the values of the scene's own knobs that it was made with.
     """
 
@@ -274,6 +275,7 @@ class Scene:
     weakening: Callable[[float], float] | None = None
     at: Callable[[float], Mapping[str, float]] | None = None
     savings: Mapping[str, float] = field(default_factory=no_parameters)
+    dimensionless: bool = False
     knobs: Mapping[str, Any] = field(default_factory=no_parameters)
 
     def __post_init__(self) -> None:

@@ -65,6 +65,9 @@ class MomentumBalance:
         self.internal = self._internal_force()
         self.reaction = np.zeros_like(self.internal)
         self._converged = forms.unknown.x.array.copy()
+        if template.updated:
+            # before the mesh moves: the mass form knows densities of the reference configuration
+            _ = self.mass
         if scene.dynamic:
             self._start_moving()
 
@@ -108,7 +111,7 @@ class MomentumBalance:
 
     @cached_property
     def mass(self) -> Matrix:
-        """The mass matrix (kg), of the mesh on which it is first asked for."""
+        """The mass matrix (kg)."""
         matrix = Matrix(self.forms.form("mass"))
         matrix.assemble()
         return matrix

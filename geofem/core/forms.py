@@ -23,6 +23,9 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 from mpi4py import MPI
+from ufl.algorithms import strip_variables
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
 
 from geofem.core import JIT
 from geofem.cost import phase
@@ -229,10 +232,11 @@ def abstract_form(template: Template, kind: str) -> Any:
     if kind == "energy":
         return everywhere(energy)
     if kind == "mass":
+        # with gravity assembled once, on the reference mesh: F of the mesh would impose its own, fewer, quadrature points
         du = split(trial)[0]
-        return everywhere(lambda i: density(i) * ufl.inner(du, v), load_degree)
+        return everywhere(lambda i: s.constants[f"density{i}"] * ufl.inner(du, v), load_degree)
     if kind == "gravity":
-        return everywhere(lambda i: density(i) * ufl.inner(s.constants["gravity"], v), load_degree)
+        return everywhere(lambda i: s.constants[f"density{i}"] * ufl.inner(s.constants["gravity"], v), load_degree)
     if kind == "body":
         return everywhere(lambda i: density(i) * ufl.inner(s.body, v))
     if kind == "weight":
@@ -244,19 +248,24 @@ def abstract_form(template: Template, kind: str) -> Any:
     raise KeyError(kind)
 
 
-def cauchy_vector(template: Template, unknown: Any, base: Any, lam: Any, mu: Any, inv_lam: Any) -> Any:
+def cauchy_vector(template: Template, law: str, unknown: Any, base: Any, lam: Any, mu: Any, inv_lam: Any) -> Any:
     """Cauchy stress (xx, yy, zz, xy[, yz, xz]) of a UFL law at the unknown on a mesh of its own."""
     u, p = ufl.split(unknown) if template.mixed else (unknown, None)
     x = ufl.SpatialCoordinate(ufl.domain.extract_unique_domain(unknown))
     f = ufl.Identity(3) + gradient(u, x, template.plane)
     f = ufl.variable(f * as_tensor(base, template.plane) if template.updated else f)
-    law = template.laws[0]
     stored = ufl_energy.energy_mixed(law, f, mu * p, inv_lam, mu) if template.mixed else ufl_energy.energy(law, f, lam, mu)
     stress = ufl.diff(stored, f)
     if template.strain == "finite":
         stress = stress * f.T / ufl.det(f)
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1)] + ([(1, 2), (0, 2)] if template.gdim == 3 else [])
-    return ufl.as_vector([stress[i, j] for i, j in pairs])
+    components = [stress[i, j] for i, j in pairs]
+    if template.plane == "plane_stress":
+        # the Lame constants of plane stress give the stresses in the plane; there is none across it
+        components[2] = 0 * components[2]
+    vector = ufl.as_vector(components)
+    # a variable's label is counted up in each process and enters FFCx's signature: left in, every run would compile anew
+    return strip_variables(apply_derivatives(apply_algebra_lowering(vector)))
 
 
 @cache
@@ -341,10 +350,17 @@ class Forms:
         expression = strain_vector(u, ufl.SpatialCoordinate(self.mesh), self.template)
         return self.expression(expression)
 
-    def cauchy(self) -> fem.Expression:
-        """The expression of the Cauchy stress of a UFL law (of the first region's parameters if there are several)."""
-        parameters = [self.constants[f"{name}0"] for name in ("lam", "mu", "inv_lam")]
-        return self.expression(cauchy_vector(self.template, self.unknown, getattr(self, "base", None), *parameters))
+    def cauchy(self) -> list[fem.Expression]:
+        """The expressions of the Cauchy stress of the regions' UFL laws."""
+        base = getattr(self, "base", None)
+        return [
+            self.expression(
+                cauchy_vector(
+                    self.template, law, self.unknown, base, *(self.constants[f"{name}{i}"] for name in ("lam", "mu", "inv_lam"))
+                )
+            )
+            for i, law in enumerate(self.template.laws)
+        ]
 
     def expression(self, expression: Any) -> fem.Expression:
         with phase("jit"):

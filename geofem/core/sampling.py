@@ -41,7 +41,7 @@ class MaterialPoint:
         if not len(colliding):
             return -1, np.zeros((1, mesh.topology.dim))
         nodes = mesh.geometry.x[mesh.geometry.dofmaps[0][colliding[0]], : mesh.geometry.dim]
-        return int(colliding[0]), mesh.geometry.cmap.pull_back(x[:, : mesh.geometry.dim], nodes)
+        return int(colliding[0]), mesh.geometry.cmaps[0].pull_back(x[:, : mesh.geometry.dim], nodes)
 
     def vector(self, field: np.ndarray, component: int) -> float:
         """A component of a field over the displacement's dofs, ghosts included."""

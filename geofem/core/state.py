@@ -34,7 +34,7 @@ class PointState:
             start[[0, 3, 4] if size == 5 else [0, 4, 8]] = 1.0
         self.strain = np.tile(start, (self._count, 1))
         """Converged strain (small) or deformation gradient (finite) at the points, (points, components)."""
-        self._trial_strain = self.strain.copy()
+        self._trial_strain = self._from_mesh = self.strain.copy()
         self.plastic = 0
         self.elastic_share = 0.0
         """Share of the elastic tangent that replaces the consistent one (small strain), where Newton goes round in circles."""
@@ -50,7 +50,8 @@ class PointState:
         """Stress and tangent for the current unknown; False where det F <= 0 at a point of this rank."""
         with phase("constitutive"):
             size = self.strain.shape[1]
-            values = self.forms.evaluate(self._strain)
+            # kept for the Cauchy stress: a mesh that has moved on says F = I of it
+            self._from_mesh = values = self.forms.evaluate(self._strain)
             stress = self.forms.stress.x.array[: self._count * size].reshape(-1, size)
             tangent = self.forms.tangent.x.array[: self._count * size * size].reshape(-1, size, size)
             self.plastic = 0
@@ -111,8 +112,7 @@ class PointState:
         stress = self.forms.stress.x.array[: self._count * size].reshape(-1, size)
         if not self.finite:
             return stress
-        f = self.forms.evaluate(self._strain) if self.forms.template.updated else self._trial_strain
-        return cauchy_from_pk1(stress, f)
+        return cauchy_from_pk1(stress, self._from_mesh)
 
 
 def elastic_matrix(parameters: np.ndarray, size: int) -> np.ndarray:

@@ -86,9 +86,9 @@ class Fem:
         cell = body.mesh.topology.cell_name()
         check_element(order, cell, quadrature)
         quadrature = quadrature or ("reduced" if plastic and cell in TENSOR else "full")
-        if updated and body.mesh.geometry.cmap.degree != order:
+        if updated and body.mesh.geometry.cmaps[0].degree != order:
             raise Mistake(
-                f"knob frame = 'updated': the mesh file has cells of order {body.mesh.geometry.cmap.degree}; use that order"
+                f"knob frame = 'updated': the mesh file has cells of order {body.mesh.geometry.cmaps[0].degree}; use that order"
             )
         template = Template(
             cell=cell,

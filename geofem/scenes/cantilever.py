@@ -90,5 +90,6 @@ def scene(*, load: str = "tip", P: float = 1.0, slenderness: float = 100.0) -> S
         measures=(Measure("tip", "-", deflection, reference=exact_tip(load, P)),),
         room=Box((-0.1, -1.1), (1.1, 0.1)),
         at=lambda t: {"P": P * t},
+        dimensionless=True,
         knobs={"load": load, "P": P, "slenderness": slenderness},
     )

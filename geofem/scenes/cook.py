@@ -74,5 +74,6 @@ def scene(*, variant: str = "A", nu: float | None = None) -> Scene:
         strain="finite" if v.law == "neo_hooke" else "small",
         singular=CORNERS,
         room=Box((-11.0, -11.0), (66.0, 88.0)),
+        dimensionless=True,
         knobs={"variant": variant, "nu": nu},
     )

@@ -9,7 +9,7 @@ and no order is claimed.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,10 @@ from matplotlib.ticker import LogFormatterMathtext, NullFormatter
 from geofem.study import rows
 from geofem.study.rows import CLOSEST, Row
 
-# Okabe & Ito (2008), without yellow, which a projector washes out. Colours, markers and dashes differ in number, so that
-# the first 56 lines are told apart by colour and marker, and neighbours by dashes too when printed in grey.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#56B4E9", "#E69F00")
+# Okabe & Ito (2008), with Tol's wine in place of yellow and sky blue, which a projector washes out. Colours, markers and
+# dashes differ in number, so that the first 56 lines are told apart by colour and marker, and neighbours by dashes too when
+# printed in grey.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#882255", "#E69F00")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 1.5)), (0, (1.2, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 PARTICLES = ("mpm", "sph", "dem")
@@ -111,7 +112,7 @@ def draw_failures(axes: Axes, group: Sequence[Row], budget: str, look: Mapping[s
         words = f"{rows.label(row)} {rows.step(row)}: {rows.why(row)}"
         words = words if len(words) < 60 else words[:58].rstrip() + "…"
         axes.text(x + (0.03 if side == "left" else -0.03), y, words, transform=axes.transAxes, ha=side, va="center",
-                  fontsize=12, color=colour)  # fmt: skip
+                  fontsize=14, color=colour)  # fmt: skip
 
 
 def draw_triangles(axes: Axes, lines: Mapping[str, Sequence[Row]], measure: str, look: Mapping[str, Mapping[str, Any]]) -> None:
@@ -159,9 +160,9 @@ def legend_text(name: str, line: Sequence[Row], measure: str, ordered: bool) -> 
     return f"{name} ({', '.join(extra)})" if extra else name
 
 
-def between(x: float, _: int) -> str:
-    """Tick labels between the decades of a short axis: at 2, 3 and 5 times a power of ten."""
-    return f"{x:g}" if f"{x:e}"[0] in "235" else ""
+def between(digits: str) -> Callable[[float, int], str]:
+    """Tick labels between the decades of a short axis: at these multiples of a power of ten."""
+    return lambda x, _: f"{x:g}" if f"{x:e}"[0] in digits else ""
 
 
 def draw_panel(axes: Axes, group: Sequence[Row], measure: str, budget: str, reference: Mapping[str, Any],
@@ -177,7 +178,9 @@ def draw_panel(axes: Axes, group: Sequence[Row], measure: str, budget: str, refe
     for name, line in lines.items():
         drawn = [(x, y) for row in line if (x := rows.cost(row, budget)) and (y := observed(row, measure, banded)) is not None]
         text = legend_text(name, line, measure, kind in ORDERED)
-        axes.plot(*np.array(drawn).reshape(-1, 2).T, **look[name], label=text, zorder=3, markeredgecolor="white")
+        axes.plot(
+            *np.array(drawn).reshape(-1, 2).T, **look[name], label=text, zorder=3, markeredgecolor="white", markeredgewidth=0.5
+        )
     if banded and reference.get("lower") is not None and reference.get("upper") is not None:
         axes.axhspan(
             reference["lower"], reference["upper"], color="#009E73", alpha=0.25, linewidth=0, label=f"{kind} reference"
@@ -201,7 +204,7 @@ def draw_panel(axes: Axes, group: Sequence[Row], measure: str, budget: str, refe
     )
     axes.xaxis.set_major_formatter("{x:g}" if budget == "cpu" else LogFormatterMathtext())
     left, right = axes.get_xlim()
-    axes.xaxis.set_minor_formatter(between if right / left < 100 else NullFormatter())
+    axes.xaxis.set_minor_formatter(between("235" if right / left < 10 else "25") if right / left < 100 else NullFormatter())
 
 
 # --- figures ----------------------------------------------------------------------------------------------------------

@@ -112,15 +112,21 @@ LADDERS: dict[str, list[Ladder]] = {
     ],
     "vortex": [
         fem("vortex", "P1", P1, (4, 8, 16)),
-        fem("vortex", "P2", P2, (4, 8, 16)),
+        fem("vortex", "P2", P2, (2, 4, 8)),
         points("vortex", "mpm-linear", (4, 8, 16)),
     ],
 }
 """The ladders of each scene."""
 
-SAMPLE = [*LADDERS["cook"], *LADDERS["beam_drop"]]
-"""What ``geofem compare`` runs when nothing is asked for: about a minute on two cores. Cook's membrane shows orders (A) and
-locking (D), the falling beam shows finite elements converge where classical material points do not."""
+SAMPLE = [
+    *(one for one in LADDERS["cook"] if (one.scene_knobs["variant"], one.label) != ("D", "FEM P2")),
+    *LADDERS["beam_drop"],
+    fem("vortex", "P2", P2, (2, 4)),
+    points("vortex", "mpm-linear", (4, 8, 16)),
+]
+"""What ``geofem compare`` runs when nothing is asked for: about 75 s with nothing compiled yet. Cook's membrane shows orders
+of convergence (A) and locking (D), the falling beam shows finite elements converge where classical material points do not, and
+the vortex where these die."""
 
 
 def default_ladders(scene: str, methods: Sequence[str] | None = None) -> list[Ladder]:

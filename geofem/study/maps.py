@@ -42,7 +42,7 @@ class Map:
     value: Callable[[float], Any] = float
     scene_knobs: Mapping[str, Any] = field(default_factory=no_knobs)
     reference: Variant | None = None
-    coarse: int = 4
+    coarse: int = 5
     bisections: int = 4
 
 

@@ -53,6 +53,11 @@ TITLES = {"displacement": "displacement magnitude (m)", "mean_stress": "mean str
 """What can be drawn of a snapshot; the mean stress where it holds the ``stress``."""
 
 
+def title(words: str, si: bool) -> str:
+    """A label that ends with its unit, or without it for a dimensionless scene."""
+    return words if si else words.rpartition(" (")[0]
+
+
 def fields(snapshot: Snapshot) -> list[str]:
     """What can be drawn of this snapshot."""
     return [field for field, needed in (("displacement", "displacement"), ("mean_stress", "stress")) if needed in snapshot]
@@ -72,7 +77,7 @@ def outer_faces(cells: np.ndarray, cell: str) -> tuple[np.ndarray, np.ndarray]:
     return faces[first[count == 1]], owner[first[count == 1]]
 
 
-def draw_plane(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str) -> Any:
+def draw_plane(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str, si: bool) -> Any:
     points = np.asarray(snapshot["points"])[:, :2]
     axes = figure.subplots()
     if cell == "vertex":
@@ -86,16 +91,16 @@ def draw_plane(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str
             drawn = axes.tripcolor(*points.T, values, triangles=np.concatenate(fans), shading="gouraud", cmap=COLOURS)
         else:
             drawn = axes.add_collection(PolyCollection(points[around], array=values, cmap=COLOURS))
-        if len(around) < 4000:
+        if len(around) < 1500:
             axes.add_collection(PolyCollection(points[around], facecolor="none", edgecolor="#00000066", linewidth=0.6))
         axes.autoscale_view()
     axes.set_aspect("equal")
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
+    axes.set_xlabel(title("x (m)", si))
+    axes.set_ylabel(title("y (m)", si))
     return drawn
 
 
-def draw_solid(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str) -> Any:
+def draw_solid(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str, si: bool) -> Any:
     points = np.asarray(snapshot["points"])
     axes: Any = figure.add_subplot(projection="3d")
     if cell == "vertex":
@@ -108,24 +113,24 @@ def draw_solid(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str
         )
         axes.auto_scale_xyz(*points.T)
     axes.set_aspect("equal")
-    axes.set_xlabel("x (m)")
-    axes.set_ylabel("y (m)")
-    axes.set_zlabel("z (m)")
+    axes.set_xlabel(title("x (m)", si))
+    axes.set_ylabel(title("y (m)", si))
+    axes.set_zlabel(title("z (m)", si))
     axes.locator_params(nbins=4)
     return drawn
 
 
-def by_matplotlib(snapshot: Snapshot, path: Path, field: str) -> None:
+def by_matplotlib(snapshot: Snapshot, path: Path, field: str, si: bool) -> None:
     """Draw the body with Matplotlib into a PNG file."""
     values = colouring(snapshot, field)
     with matplotlib.rc_context(STYLE | {"font.size": 13}):
         width, height = np.ptp(np.asarray(snapshot["points"])[:, :2], axis=0) if not is_solid(snapshot) else (1.0, 1.0)
         figure = Figure(figsize=(2.0 + 4.6 * float(np.clip(width / (height or 1.0), 0.5, 1.6)), 5.2), layout="constrained")
         draw = draw_solid if is_solid(snapshot) else draw_plane
-        drawn = draw(figure, snapshot, values, str(snapshot["cell"]))
+        drawn = draw(figure, snapshot, values, str(snapshot["cell"]), si)
         drawn.set_clim(*limits(values, field))
         extend = "both" if field == "mean_stress" else "neither"
-        figure.colorbar(drawn, ax=figure.axes[0], label=TITLES[field], shrink=0.85, extend=extend)
+        figure.colorbar(drawn, ax=figure.axes[0], label=title(TITLES[field], si), shrink=0.85, extend=extend)
         figure.savefig(path, dpi=120)
 
 
@@ -174,15 +179,16 @@ def by_pyvista_apart(folder: Path, path: Path, field: str) -> bool:
     return path.exists()
 
 
-def draw(folder: Path, path: Path, field: str = "displacement") -> Path:
+def draw(folder: Path, path: Path, field: str = "displacement", si: bool = True) -> Path:
     """Draw the deformed body of the result in ``folder``, coloured by one of its ``fields``, into the PNG file ``path``.
 
+    si : units are written beside the names; False for a dimensionless scene.
     Raises ``Mistake`` if the folder holds no result.
     """
     snapshot = Result.load(folder).snapshot
     path.parent.mkdir(parents=True, exist_ok=True)
     if not (is_solid(snapshot) and by_pyvista_apart(folder, path, field)):
-        by_matplotlib(snapshot, path, field)
+        by_matplotlib(snapshot, path, field, si)
     return path
 
 

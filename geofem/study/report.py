@@ -67,6 +67,12 @@ def scene_text(name: str) -> str:
     return scenes.describe(name) if name in scenes.names() else ""
 
 
+def has_units(row: Row) -> bool:
+    """False for a dimensionless scene; a scene of the user's own is taken to be in SI."""
+    name = row["scene"]
+    return name not in scenes.names() or not scenes.get(name)(**(row.get("scene_knobs") or {})).dimensionless
+
+
 def paragraphs(text: str) -> list[tuple[str, Markup]]:
     """A docstring as blocks: ``p`` for prose, with its leading word bold and names in code type; ``pre`` for lists."""
     blocks = []
@@ -127,8 +133,8 @@ def drawn(folder: Path, row: Row) -> list[dict[str, str]]:
     made = []
     for shown in pictures.fields(Result.load(run).snapshot):
         name = slug(f"{rows.problem(row)} {rows.label(row)} {shown}")
-        path = pictures.draw(run, folder / "pictures" / f"{name}.png", shown)
-        words = f"{rows.label(row)}, {rows.step(row)}{outcome}: {pictures.TITLES[shown]}"
+        path = pictures.draw(run, folder / "pictures" / f"{name}.png", shown, has_units(row))
+        words = f"{rows.label(row)}, {rows.step(row)}{outcome}: {pictures.title(pictures.TITLES[shown], has_units(row))}"
         made.append({"png": base64.b64encode(path.read_bytes()).decode(), "caption": words})
     return made
 

@@ -149,7 +149,7 @@ COLUMNS = ("variant", "step", "dofs", "points", "error", "CPU (s)", "outcome")
 
 def cells(row: Row) -> tuple[str, ...]:
     """One row of the table, in the order of ``COLUMNS``."""
-    errors = [f"{name} {value:.2e}" for name, value in row["error"].items() if value is not None]
+    errors = [f"{name} {value:.2e}" for name in row["error"] if (value := error(row, name)) is not None]
     seconds = cost(row)
     outcome = "ok" if row["status"] == "ok" else f"{row['status']}: {why(row)}"
     size = [str(row["size"].get(key) or "") for key in ("dofs", "points")]

@@ -111,7 +111,7 @@ def survey(this: Map, out: Path) -> list[Line]:
         return [judge(this, variant, x, done) for x in sorted(at[variant.label], reverse=down)]
 
     with tqdm(total=1 + this.bisections, desc=f"map {this.name}", unit="round", file=sys.stderr, disable=None) as progress:
-        for _ in range(1 + this.bisections):
+        for step in range(1 + this.bisections):
             wanted = [(variant, x) for variant in this.variants for x in at[variant.label]]
             also = [(this.reference, x) for _, x in wanted] if this.reference else []
             run_points(this, wanted + also, out, done)
@@ -119,7 +119,7 @@ def survey(this: Map, out: Path) -> list[Line]:
                 raise Mistake(f"map {this.name}: nothing could be run: {rows.why(next(iter(done.values())))}")
             for variant in this.variants:
                 found = bracket(line(variant), this.threshold)
-                if found and progress.n < this.bisections:
+                if found and step < this.bisections:
                     at[variant.label].append(float(np.sqrt(found[0] * found[1])))
             progress.update()
     lines = []
@@ -157,7 +157,7 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
                 level = None if point.error is None else float(norm(max(point.error, SMALLEST)))
                 look = {"facecolor": "#ececec", "hatch": "xx"} if level is None else {"facecolor": colours(level)}
                 axes.add_patch(Rectangle((min(a, b), i - 0.4), abs(b - a), 0.8, linewidth=0, **look))
-                if abs(np.log(b / a) / np.log(this.harsh / this.safe)) < 0.1:
+                if abs(np.log(b / a) / np.log(this.harsh / this.safe)) < 0.065:
                     continue  # too narrow for words
                 words = f"× {shortened(point.cause)}" if point.error is None else percent(point.error)
                 colour = "white" if level is not None and level < 0.55 else "black"
@@ -171,7 +171,8 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
         axes.set_yticks(range(len(lines)), [line.label for line in lines])
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel(this.axis)
-        axes.set_title(f"{this.title}\nthe bar marks where the error crosses {percent(this.threshold)}", fontweight="bold")
+        against = f"error against {this.reference.label}; " if this.reference else "error; "
+        axes.set_title(f"{this.title}\n{against}the bar marks where it crosses {percent(this.threshold)}", fontweight="bold")
         scale = matplotlib.cm.ScalarMappable(norm, colours)
         figure.colorbar(scale, ax=axes, label="relative error", aspect=14, pad=0.01, format=percent)
     return figure
