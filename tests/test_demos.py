@@ -1,12 +1,17 @@
-"""Each demo runs as a reader would start it, in a process of its own, at a small size; its last lines assert its numbers."""
+"""What a reader tries first: each demo, at a small size and in a process of its own, and what README says of scenes."""
 
 from __future__ import annotations
 
+import json
+import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from conftest import ROOT, start
+from conftest import ROOT, Done, start
+
+from geofem import scenes
 
 SMALL = {"beam_drop": "fem=(1, 2), mpm=(4, 8), figure=Path(sys.argv[1])"}
 """Keywords of a demo's ``main`` that make it quick."""
@@ -25,3 +30,23 @@ def test_demo_finds_its_numbers_and_draws_its_figure(name: str, tmp_path: Path) 
 def test_demo_fits_a_sitting(path: Path) -> None:
     """A text for students: under 100 lines."""
     assert len(path.read_text().splitlines()) < 100
+
+
+# --- README -----------------------------------------------------------------------------------------------------------
+README = (ROOT / "README.md").read_text()
+
+
+def test_readme_lists_every_scene_with_its_summary_and_kind_of_reference() -> None:
+    rows = re.findall(r"^\| `(\w+)` \| (.+) \| (\w+) \|$", README.partition("## Scenes")[2].partition("\n## ")[0], re.MULTILINE)
+    assert {name: text for name, text, _ in rows} == scenes.known()
+    for name, _, kind in rows:
+        references = [measure.reference for measure in scenes.get(name)().measures]
+        assert {reference.kind for reference in references if reference} == {kind}, name
+
+
+def test_readme_scene_of_ones_own_meets_its_exact_settlement(run_cli: Callable[..., Done], tmp_path: Path) -> None:
+    """Uniaxial strain of a linear law under its own weight is quadratic in height: P2 has it to rounding times conditioning."""
+    path = tmp_path / "pole.py"
+    path.write_text(next(block for block in re.findall(r"```python\n(.*?)```", README, re.DOTALL) if "def pole" in block))
+    row = json.loads(run_cli("run", f"{path}:pole", "--method", "fem", "--set", "height=5", "--json").stdout)
+    assert row["status"] == "ok" and row["error"]["settlement"] < 1e-9

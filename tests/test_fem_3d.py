@@ -51,7 +51,7 @@ def test_quadratic_elements_reproduce_a_quadratic_field(cell: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["neo_hooke", "hencky"])
-@pytest.mark.parametrize("cell, order, frame", [("tetrahedron", 1, "updated"), ("tetrahedron", 2, "total"), ("hexahedron", 1, "total")])
+@pytest.mark.parametrize("cell, order, frame", [("tetrahedron", 2, "total"), ("hexahedron", 1, "updated")])
 def test_rigid_rotation_makes_no_stress(law: str, cell: str, order: int, frame: str) -> None:
     def turn(x: Array, t: float) -> Array:
         # Rodrigues: by 90 degrees about the axis (1, 1, 1)
@@ -120,7 +120,7 @@ def bent(material: Material = STEEL, shear: float = 1.0) -> Scene:
     return block(3, material, clamp, (Load("traction", (0.0, shear, 0.5 * shear), where=at_least(0, 1.0)),))
 
 
-@pytest.mark.parametrize("cell, order, meshes", [("tetrahedron", 1, (4, 8, 16)), ("hexahedron", 2, (2, 4))])
+@pytest.mark.parametrize("cell, order, meshes", [("tetrahedron", 1, (4, 8, 16)), ("hexahedron", 2, (4, 6))])
 def test_multigrid_needs_few_iterations_on_any_mesh(cell: str, order: int, meshes: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
     iterations = []
     for n in meshes:
@@ -134,7 +134,7 @@ def test_multigrid_needs_few_iterations_on_any_mesh(cell: str, order: int, meshe
         assert found.work["linear"] > found.work["newton"], "the iterative solver was not asked"
         iterations.append(found.work["linear"] / found.work["newton"])
     # rigid-body modes in the coarse spaces: iterations hardly grow with the mesh
-    assert max(iterations) < 40 and iterations[-1] < 1.6 * iterations[-2] + 2
+    assert max(iterations) < 40 and iterations[-1] < 1.2 * iterations[-2]
 
 
 def test_multigrid_serves_newton(monkeypatch: pytest.MonkeyPatch) -> None:

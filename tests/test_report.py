@@ -178,3 +178,14 @@ def test_colours_are_the_length_of_the_displacement_and_a_third_of_the_trace() -
     snapshot = {"displacement": np.array([[3.0, 4.0]]), "stress": np.array([[-3.0, -6.0, 0.0, 9.0]])}
     assert pictures.colouring(snapshot, "displacement") == [5.0]
     assert pictures.colouring(snapshot, "mean_stress") == [-3.0]
+
+
+def test_pictures_of_a_dimensionless_scene_bear_no_unit() -> None:
+    assert pictures.title("mean stress (Pa)", True) == "mean stress (Pa)"
+    assert pictures.title("mean stress (Pa)", False) == "mean stress"
+    assert [report.has_units({"scene": name}) for name in ("cook", "cantilever", "column", "mine.py:scene")] == [
+        False,
+        False,
+        True,
+        True,
+    ]

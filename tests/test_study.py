@@ -13,6 +13,8 @@ import pytest
 
 from geofem.mistake import Mistake
 from geofem.result import Result
+from geofem.scene import Scene
+from geofem.scenes import cook
 from geofem.study import chart, recommend, rows, stability, sweep
 from geofem.study.ladders import LADDERS, SAMPLE, Ladder, default_ladders
 from geofem.study.maps import MAPS, Map, Variant
@@ -120,6 +122,12 @@ def test_table_shows_failures_with_their_cause() -> None:
     assert "cook, variant A" in text and "failed: tangle" in text and "n=8" in text
 
 
+def test_table_hides_the_error_of_a_run_that_did_not_finish() -> None:
+    """What was sampled before the end is no error of the whole run."""
+    row = ladder("P1", 2, 1)[0] | {"status": "failed", "cause": "cfl"}
+    assert row["error"]["uy"] > 0 and rows.cells(row)[4] == ""
+
+
 # --- ladders and sweeps -----------------------------------------------------------------------------------------------
 def test_every_ladder_has_a_folder_and_a_line_of_its_own() -> None:
     every = [one for group in LADDERS.values() for one in group]
@@ -197,6 +205,12 @@ def test_interrupted_sweep_keeps_its_rows(worker: None, tmp_path: Path, monkeypa
 def words_of(figure: Any) -> str:
     legends = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     return "\n".join([text.get_text() for axes in figure.axes for text in axes.texts] + legends)
+
+
+def test_refused_runs_have_no_line_in_a_chart() -> None:
+    found = ladder("P1", 2, 1) + [fail(ladder("CLE", 2, 1, (2,))[0], status="refused", message="no")]
+    words = words_of(chart.work_precision(found, "uy", chart.styles(["P1", "CLE"])))
+    assert "P1" in words and "CLE" not in words
 
 
 def drawn(found: list[rows.Row], measure: str = "uy") -> Any:
@@ -318,6 +332,22 @@ def test_own_reference_of_a_map_replaces_the_scenes(worker: None, tmp_path: Path
                reference=Variant("fine", "fem", {"n": 10}), coarse=2, bisections=0)  # fmt: skip
     (line,) = stability.survey(this, tmp_path)
     assert line.points[0].error == pytest.approx((1 / 4 - 1 / 100) / (1 + 1 / 100), rel=1e-12)
+
+
+def test_locking_map_varies_the_volume_and_not_the_shear() -> None:
+    """mu = E / (2 + 2 nu) is the variant's for every nu of the map, to rounding; only the variant's own nu has a reference."""
+
+    def mu(scene: Scene) -> float:
+        E, nu = (scene.regions[0].material.parameters[name] for name in ("E", "nu"))
+        return E / (2 + 2 * nu)
+
+    this = MAPS["locking"]
+    own = cook.scene(variant="C")
+    for x in (this.safe, this.harsh):
+        made = cook.scene(**this.scene_knobs, nu=this.value(x))
+        assert mu(made) == pytest.approx(mu(own), rel=1e-14)
+        assert made.measures[0].reference is None
+    assert cook.scene(variant="C", nu=0.4999).measures[0].reference == own.measures[0].reference is not None
 
 
 def test_maps_are_reachable_by_name() -> None:

@@ -74,24 +74,25 @@ class FieldFile:
     """Lagrange functions over time in one VTX file (a folder, ``path`` ending in .bp), written by all ranks together. Collective.
 
     functions : all of one element on one mesh, their ghosts up to date when they are written; a function is found by its ``name``.
-    moving : the mesh moves, so that it is written at every time and not only at the first.
     resumed : the t of a run that is taken up; dolfinx cannot append, and the file is then named after this t.
 
-    The points are where the mesh stands: in ParaView, warp by the displacement only what does not move. Each ``write`` is on the
-    disk when it returns, should the run be killed later. Raises ``Mistake`` where dolfinx was built without ADIOS2.
+    The points of each time are where the mesh then stands: in ParaView, warp by the displacement only what does not move. Each
+    ``write`` is on the disk when it returns, should the run be killed later. Raises ``Mistake`` where dolfinx lacks ADIOS2.
 
-    Verified with the ADIOS2 package of PyPI (2.12.1): points, cells, functions and times come back, for orders 1 to 3, from 1 and
-    2 ranks. ParaView's own reader, vtkADIOS2VTXReader, could not be tried: VTK's wheel (9.7) does not have it.
+    The format is BP4, since ParaView reads BP5 only from 5.12 on (github.com/ornladios/ADIOS2/issues/4320). Verified with the
+    ADIOS2 package of PyPI (2.12): points, cells, functions and times come back, from 1 and 2 ranks. ParaView's own reader,
+    vtkADIOS2VTXReader, could not be tried: VTK's wheel (9.7) does not have it.
     """
 
-    def __init__(self, path: Path, functions: Sequence[fem.Function], moving: bool = False, resumed: float | None = None):
+    def __init__(self, path: Path, functions: Sequence[fem.Function], resumed: float | None = None):
         if not dolfinx.has_adios2:
-            raise Mistake("this build of DOLFINx lacks ADIOS2 and cannot write .bp files; use the wheel dolfinx-solver-real")
+            raise Mistake(
+                f"{path}: this DOLFINx was built without ADIOS2, which writes .bp files; use the wheel dolfinx-solver-real"
+            )
         self.path = path.with_name(f"{path.stem}_from_{resumed:g}.bp" if resumed else f"{path.stem}.bp")
         comm = functions[0].function_space.mesh.comm
         on_root(comm, lambda: self.path.parent.mkdir(parents=True, exist_ok=True))
-        policy = dolfinx.io.VTXMeshPolicy.update if moving else dolfinx.io.VTXMeshPolicy.reuse
-        self._writer = dolfinx.io.VTXWriter(comm, self.path, list(functions), mesh_policy=policy)
+        self._writer = dolfinx.io.VTXWriter(comm, self.path, list(functions), engine="BP4")
 
     def write(self, t: float) -> None:
         """Add the present values of the functions as those of time t."""

@@ -124,7 +124,7 @@ SAMPLE = [
     fem("vortex", "P2", P2, (2, 4)),
     points("vortex", "mpm-linear", (4, 8, 16)),
 ]
-"""What ``geofem compare`` runs when nothing is asked for: about 75 s with nothing compiled yet. Cook's membrane shows orders
+"""What ``geofem compare`` runs when nothing is asked for: about a minute and a half with nothing compiled. Cook's membrane shows orders
 of convergence (A) and locking (D), the falling beam shows finite elements converge where classical material points do not, and
 the vortex where these die."""
 
