@@ -65,9 +65,10 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     one.add_argument("--petsc", metavar="OPTIONS", help='options for PETSc, with the equals sign: --petsc="-log_view"')
     one.add_argument("--log", choices=("debug", "info", "warning", "error"), default="warning", help="what to tell on stderr")
+    one.add_argument("--frames", type=int, default=0, metavar="N", help="write the fields at N times to --out, for ParaView")
     one.add_argument("--quiet", action="store_true", help="no progress bar")
 
-    many = command(compare, "compare", "error against cost for scenes and methods; without arguments a sample of a minute")
+    many = command(compare, "compare", "error against cost for scenes and methods; without arguments a sample of a minute or two")
     many.add_argument("scenes", nargs="*", metavar="SCENE")
     many.add_argument("--methods", type=names, metavar="a,b,c", help="only these (default: all that suit the scene)")
     keep(many, "where results, charts and the report go")
@@ -98,7 +99,7 @@ def knob(setting: str) -> tuple[str, Any]:
     name, equals, text = setting.partition("=")
     if not equals or not text or not name.isidentifier():
         raise Mistake(f"--set {setting!r}: write it as knob=value, for example --set n=16")
-    if name in ("scene", "method", "out", "resume", "progress"):
+    if name in ("scene", "method", "out", "resume", "progress", "frames"):
         raise Mistake(f"--set {setting!r}: {name} is no knob; see geofem run --help")
     if text.lower() in WORDS:
         return name, WORDS[text.lower()]
@@ -145,7 +146,9 @@ def run(args: argparse.Namespace) -> int:
     if not first:
         logging.disable()
     progress = first and not args.quiet and sys.stderr.isatty()
-    result = runner.run(args.scene, args.method, out=args.out, resume=args.resume, progress=progress, **knobs)
+    result = runner.run(
+        args.scene, args.method, out=args.out, resume=args.resume, progress=progress, frames=args.frames, **knobs
+    )
     if first:
         print(result.to_json() if args.json else summary(result, args.out), file=answer, flush=True)
         if result.status != "ok":

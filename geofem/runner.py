@@ -160,6 +160,7 @@ class Run:
                         disable=not progress or self.comm.rank != 0)  # fmt: skip
         self.every_frame = scene.t_end / frames if frames else math.inf
         self.series: io.Series | None = None
+        self.fields: io.FieldFile | None = None
 
     def loop(self) -> None:
         """Step to the end, to the breakdown or to an interruption; the result has the status and cause."""
@@ -197,14 +198,21 @@ class Run:
         self.bar.close()
         if self.samples[-1][0] < model.t:
             self.sample()
+        if self.fields is not None:
+            self.fields.close()
         result.history = dict(zip(self.names, np.array(self.samples).T))
 
     def draw(self) -> None:
         """Add the present fields to the series that ParaView opens. Collective."""
         assert self.folder is not None
+        functions = self.model.functions()
         if self.series is None:
-            self.series = io.Series(self.folder / "fields.pvd", resumed=self.model.t if self.model.t > 0.0 else None)
+            resumed = self.model.t if self.model.t > 0.0 else None
+            self.series = io.Series(self.folder / "fields.pvd", resumed)
+            self.fields = io.FieldFile(self.folder / "fields.bp", functions, resumed) if functions else None
         self.series.write(self.model.t, self.model.snapshot())
+        if self.fields is not None:
+            self.fields.write(self.model.t)
 
     def break_down(self, end: Breakdown) -> None:
         """Note where and why the method came to its end; losing equilibrium is what a collapse scene looks for."""

@@ -37,6 +37,9 @@ class Model(Protocol):
     def snapshot(self) -> dict[str, Any]:
         """``points`` (n, 3), ``cells``, ``cell`` (shape), ``displacement`` (n, gdim), and fields; on rank 0 only."""
 
+    def functions(self) -> list[Any]:
+        """The present fields as dolfinx functions of one element on one mesh, for VTX files; none for particles."""
+
     def size(self) -> dict[str, int]:
         """``dofs``, ``cells``, ``points`` over all ranks."""
 

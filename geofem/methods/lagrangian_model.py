@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -179,6 +179,16 @@ class LagrangianModel:
     def snapshot(self) -> dict[str, Any]:
         stress = self._cauchy().reshape(self.forms.owned, len(self.template.points), -1).mean(axis=1)
         return snapshot.picture(self.dofs.space, self.dofs.X, self._displacement(), {"stress": stress})
+
+    def functions(self) -> list[fem.Function]:
+        for name, function in self._functions.items():
+            function.x.array[:] = getattr(self.balance, name)[self.dofs.index]
+        return list(self._functions.values())
+
+    @cached_property
+    def _functions(self) -> dict[str, fem.Function]:
+        names = {"displacement": "displacement", "v": "velocity"} if self.scene.dynamic else {"displacement": "displacement"}
+        return {array: fem.Function(self.dofs.space, name=name) for array, name in names.items()}
 
     # --- checkpoints ----------------------------------------------------------------------------------------------
     def _nodal(self) -> dict[str, np.ndarray]:

@@ -244,6 +244,9 @@ class ExplicitMpm:
             "volume": None,
         }
 
+    def functions(self) -> list[Any]:
+        return []
+
     def snapshot(self) -> dict[str, Any]:
         """Points where they are now, in the order in which they were seeded."""
         q = self.points
