@@ -68,7 +68,9 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--frames", type=int, default=0, metavar="N", help="write the fields at N times to --out, for ParaView")
     one.add_argument("--quiet", action="store_true", help="no progress bar")
 
-    many = command(compare, "compare", "error against cost for scenes and methods; without arguments a sample of a minute or two")
+    many = command(
+        compare, "compare", "error against cost for scenes and methods; without arguments a sample of a minute or two"
+    )
     many.add_argument("scenes", nargs="*", metavar="SCENE")
     many.add_argument("--methods", type=names, metavar="a,b,c", help="only these (default: all that suit the scene)")
     keep(many, "where results, charts and the report go")

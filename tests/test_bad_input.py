@@ -106,7 +106,9 @@ def written(path: Path, points: list, cells: list) -> Path:
 def test_mesh_file_that_cannot_be_used(tmp_path: Path) -> None:
     lines = written(tmp_path / "lines.vtu", SQUARE, [("line", [[0, 1], [1, 2]])])
     assert "lines.vtu" in mistake(of_file(lines))
-    flat = written(tmp_path / "flat.vtu", [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [0.0, 1.0]], [("triangle", [[0, 1, 3], [0, 1, 2]])])
+    flat = written(
+        tmp_path / "flat.vtu", [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [0.0, 1.0]], [("triangle", [[0, 1, 3], [0, 1, 2]])]
+    )
     assert "flat.vtu" in mistake(of_file(flat))
     assert "missing.msh" in mistake(of_file(tmp_path / "missing.msh"))
 

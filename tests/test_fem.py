@@ -21,7 +21,9 @@ SQUARE_WITH_A_FIFTH_CORNER = Polygon(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.4, 
 
 
 # --- consistency ------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("motion, frame", [("strain", "total"), *((m, f) for m in ("rotation", "shear") for f in ("total", "updated"))])
+@pytest.mark.parametrize(
+    "motion, frame", [("strain", "total"), *((m, f) for m in ("rotation", "shear") for f in ("total", "updated"))]
+)
 @pytest.mark.parametrize("cell, order", ELEMENTS)
 def test_irregular_patch_reproduces_a_homogeneous_motion(motion: str, frame: str, cell: str, order: int) -> None:
     scene = scenes.get("patch")(motion=motion)
@@ -91,8 +93,12 @@ def test_uniform_pressure_gives_uniform_stress(cell: str, order: int) -> None:
 
 @pytest.mark.parametrize("frame", ["total", "updated"])
 @pytest.mark.parametrize("material", [RUBBER, Material("hencky", 1.0, {"E": 1000.0, "nu": 0.3})], ids=lambda m: m.law)
-def test_follower_pressure_is_the_cauchy_stress_and_its_resultant_depends_on_the_ends_only(frame: str, material: Material) -> None:
-    ends = tuple(Probe(f"{s}{i}", "displacement", at=(x, 1.0), component=i) for s, x in (("left", 0.0), ("right", 1.0)) for i in (0, 1))
+def test_follower_pressure_is_the_cauchy_stress_and_its_resultant_depends_on_the_ends_only(
+    frame: str, material: Material
+) -> None:
+    ends = tuple(
+        Probe(f"{s}{i}", "displacement", at=(x, 1.0), component=i) for s, x in (("left", 0.0), ("right", 1.0)) for i in (0, 1)
+    )
     reactions = tuple(Probe(f"force{i}", "reaction", component=i, of="clamp") for i in (0, 1))
     lopsided = Load("pressure", 300.0, where=lambda x: (x[1] >= 1.0 - 1e-9) | (x[0] >= 1.0 - 1e-9))
     clamp = (Support("clamp", at_most(1, 0.0), (0, 1)),)
@@ -144,7 +150,9 @@ def lame_wall(nu: float) -> float:
     return (1 + nu) / 1000.0 / 3.0 * ((1 - 2 * nu) + 4.0)
 
 
-@pytest.mark.parametrize("nu, formulation", [(0.0, "displacement"), (0.3, "displacement"), (0.3, "mixed"), (0.4999, "mixed"), (0.5, "mixed")])
+@pytest.mark.parametrize(
+    "nu, formulation", [(0.0, "displacement"), (0.3, "displacement"), (0.3, "mixed"), (0.4999, "mixed"), (0.5, "mixed")]
+)
 def test_thick_cylinder_is_lames(nu: float, formulation: str) -> None:
     coarse, fine = (solved(cylinder(nu), n=n, formulation=formulation) for n in (8, 16))
     errors = [abs(last(result, "wall")[0] / lame_wall(nu) - 1) for result in (coarse, fine)]

@@ -93,7 +93,11 @@ def test_following_pressure_is_the_cauchy_stress() -> None:
 
 def test_layers_of_two_materials_carry_one_stress() -> None:
     layers = tuple(
-        Region(f"layer{i}", Box((0.0, 0.0, float(i)), (1.0, 1.0, i + 1.0)), Material("linear_elastic", 1.0, {"E": young, "nu": 0.0}))
+        Region(
+            f"layer{i}",
+            Box((0.0, 0.0, float(i)), (1.0, 1.0, i + 1.0)),
+            Material("linear_elastic", 1.0, {"E": young, "nu": 0.0}),
+        )
         for i, young in enumerate((100.0, 1000.0))
     )
     probes = [Probe(f"stress{i}", "stress", at=(0.4, 0.3, i + 0.6), component=2) for i in range(2)]
@@ -121,7 +125,9 @@ def bent(material: Material = STEEL, shear: float = 1.0) -> Scene:
 
 
 @pytest.mark.parametrize("cell, order, meshes", [("tetrahedron", 1, (4, 8, 16)), ("hexahedron", 2, (4, 6))])
-def test_multigrid_needs_few_iterations_on_any_mesh(cell: str, order: int, meshes: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_multigrid_needs_few_iterations_on_any_mesh(
+    cell: str, order: int, meshes: tuple, monkeypatch: pytest.MonkeyPatch
+) -> None:
     iterations = []
     for n in meshes:
         direct = solved(bent(), n=n, cell=cell, order=order)

@@ -81,7 +81,10 @@ def bar(velocity: str = "smooth", t_end: float = 1.0) -> Scene:
         regions=(Region("bar", Box((0.0, 0.0), (LENGTH, 0.5)), Material("linear_elastic", DENSITY, {"E": E, "nu": 0.0})),),
         length=LENGTH,
         supports=(Support("wall", at_most(0, 0.0), (0,)), Support("floor", at_most(1, 0.0), (1,))),
-        probes=(Probe("tip", "displacement", at=(LENGTH, 0.0), component=0), Probe("speed", "velocity", at=(LENGTH, 0.0), component=0)),
+        probes=(
+            Probe("tip", "displacement", at=(LENGTH, 0.0), component=0),
+            Probe("speed", "velocity", at=(LENGTH, 0.0), component=0),
+        ),
         strain="small",
         dynamic=True,
         t_end=t_end,
@@ -120,7 +123,9 @@ def test_rho_inf_of_one_keeps_the_energy_and_less_damps_it() -> None:
 def test_free_fall_keeps_galileos_law(frame: str) -> None:
     mean = tuple(Probe(f"mean{i}", "mean_velocity", component=i) for i in range(2))
     start = lambda x: np.array([1.0 - 3.0 * (x[1] - 0.5), 3.0 * (x[0] - 0.5)])  # noqa: E731 - thrown with a spin
-    thrown = block(2, RUBBER, (), (Load("gravity", (0.0, -10.0)),), dynamic=True, t_end=0.5, initial_velocity=start, probes=mean)
+    thrown = block(
+        2, RUBBER, (), (Load("gravity", (0.0, -10.0)),), dynamic=True, t_end=0.5, initial_velocity=start, probes=mean
+    )
     history = solved(thrown, n=2, steps=20, frame=frame).history
     # linear momentum: its rate is the weight, whatever the body does; the trapezoidal rule is exact for it
     np.testing.assert_allclose(history["mean0"], 1.0, atol=1e-9)

@@ -15,7 +15,9 @@ CAPACITY = 2.0 + np.pi
 
 
 # --- strip footing ----------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("n, steps, dofs, error", [(4, 4, 1300, 0.015), pytest.param(6, 8, 10_000, 0.0075, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "n, steps, dofs, error", [(4, 4, 1300, 0.015), pytest.param(6, 8, 10_000, 0.0075, marks=pytest.mark.slow)]
+)
 def test_graded_footing_finds_prandtls_load_with_few_unknowns(n: int, steps: int, dofs: int, error: float) -> None:
     result = solved("footing", n=n, grading=2.5, steps=steps)
     assert result.size["dofs"] <= dofs

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,7 +15,7 @@ from geofem import Result
 
 pytestmark = pytest.mark.mpi
 
-SCENES = [
+ELASTIC = [
     *[("patch", {"motion": m, "n": 3}) for m in ("strain", "rotation", "shear")],
     ("cook", {"variant": "A", "n": 8}),
     ("cook", {"variant": "A", "n": 4, "cell": "quadrilateral"}),
@@ -26,38 +23,66 @@ SCENES = [
     ("cook", {"variant": "E", "n": 4, "frame": "updated"}),
     ("column", {"law": "hencky", "n": 4}),
     ("cantilever", {"P": 5, "n": 1, "slenderness": 20}),
-    ("axial", {"n": 4, "steps": 10}),
+    ("axial", {"n": 4, "steps": 8}),
     ("beam_drop", {"n": 1, "steps": 20}),
     ("vortex", {"A": 0.2, "n": 2, "steps": 10, "order": 1}),
+]
+PLASTIC = [
     ("cavity", {"n": 1}),
     ("footing", {"n": 2, "steps": 2, "tolerance": 1e-10}),
     ("slope", {"case": "undrained", "n": 2}),
     ("vertical_cut", {"n": 2}),
 ]
-LADDER = f"""
-import json
+LADDER = """
+import json, sys
 import geofem
 from mpi4py import MPI
-for scene, knobs in {SCENES!r}:
+for scene, knobs in json.loads(sys.argv[1]):
     result = geofem.run(scene, "fem", **knobs)
-    last = {{name: float(values[-1]) for name, values in result.history.items()}}
+    numbers = {name: float(values[-1]) for name, values in result.history.items()} | result.qoi
+    numbers |= {f"error {name}": value for name, value in result.error.items()}
     if MPI.COMM_WORLD.rank == 0:
-        numbers = {{**result.qoi, **{{f"error {{k}}": v for k, v in result.error.items()}}, **last}}
         print(json.dumps([scene, result.status, result.size, result.work["newton"], numbers]), flush=True)
 """
-STOPPED = """
-import sys
+STOPPED = [
+    ("beam_drop", {"n": 1, "steps": 20, "tolerance": 1e-12}),
+    ("beam_drop", {"n": 1, "steps": 20, "tolerance": 1e-12, "frame": "updated"}),
+    ("column", {"law": "hencky", "n": 2, "steps": 6, "tolerance": 1e-12, "frame": "updated"}),
+    ("cook", {"variant": "D", "n": 2, "formulation": "mixed", "steps": 6, "tolerance": 1e-12}),
+    ("cavity", {"n": 1, "steps": 6, "tolerance": 1e-12}),
+    ("footing", {"n": 2, "steps": 6, "tolerance": 1e-11}),
+]
+STOP = """
+import json, sys
+from pathlib import Path
 import geofem
 from geofem import runner
-sample, out, stop = runner.Run.sample, sys.argv[1], float(sys.argv[2])
+sample = runner.Run.sample
 def stopping(self):
     sample(self)
     self.stop = self.model.t >= stop * self.scene.t_end
 runner.Run.sample = stopping
-scene, knobs = eval(sys.argv[3])
-result = geofem.run(scene, "fem", out=out, resume=stop > 1 and bool(sys.argv[4:]), **knobs)
-print("status", result.status, flush=True)
+for folder, stop, resume in json.loads(sys.argv[1]):
+    for i, (scene, knobs) in enumerate(json.loads(sys.argv[2])):
+        result = geofem.run(scene, "fem", out=Path(folder) / str(i), resume=resume, **knobs)
+        assert result.status == ("partial" if stop < 1 else "ok"), result.message
 """
+INTERRUPTED = '''
+import os, signal
+from pathlib import Path
+from dataclasses import replace
+from geofem import scenes
+
+def scene():
+    """A beam whose gravity presses Ctrl-C at half time, once."""
+    beam, flag = scenes.get("beam_drop")(), Path(__file__).with_suffix(".flag")
+    def amplitude(t):
+        if t > 0.5 * beam.t_end and not flag.exists():
+            flag.touch()
+            os.kill(os.getpid(), signal.SIGINT)
+        return 1.0
+    return replace(beam, loads=(replace(beam.loads[0], amplitude=amplitude),))
+'''
 
 
 def ranks(n: int, *words: str) -> str:
@@ -68,78 +93,81 @@ def ranks(n: int, *words: str) -> str:
     return done.stdout
 
 
-def rows(text: str) -> list[list]:
+def rows(n: int, runs: list) -> list[list]:
+    text = ranks(n, "-c", LADDER, json.dumps(runs))
     return [json.loads(line) for line in text.splitlines() if line.startswith("[")]
 
 
 @pytest.fixture(scope="module")
 def serial() -> list[list]:
-    return rows(ranks(1, "-c", LADDER))
+    return rows(1, ELASTIC + PLASTIC)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [2, 3])
-def test_every_scene_has_the_answer_of_one_rank(serial: list[list], n: int) -> None:
-    parallel = rows(ranks(n, "-c", LADDER))
-    assert len(parallel) == len(serial) == len(SCENES)
+@pytest.mark.parametrize("n, runs", [(2, ELASTIC + PLASTIC), (3, ELASTIC)], ids=["2", "3"])
+def test_every_scene_has_the_answer_of_one_rank(serial: list[list], n: int, runs: list) -> None:
+    parallel = rows(n, runs)
+    assert len(parallel) == len(runs)
     for one, many in zip(serial, parallel):
-        assert many[:3] == one[:3] and one[1] == "ok"
-        # sums in another order: rounding, which Newton's tolerance of 1e-9 and less hides and collapse may amplify
+        # the same steps and iterations, which a rank that is lost, counted twice or late would change
+        assert many[:4] == one[:4] and one[1] == "ok"
+        # sums in another order; stresses that are zero are rounding of E = 1e6 in the patch
+        rounding = 1e-8 if one[0] == "patch" else 1e-12
         for name, value in one[4].items():
-            assert many[4][name] == pytest.approx(value, rel=1e-9, abs=1e-9 if name.startswith("error") else 1e-12 + 1e-9 * abs(value)), (
-                one[0],
-                name,
-            )
+            assert many[4][name] == pytest.approx(value, rel=1e-9, abs=1e-9 if "error" in name else rounding), (one[0], name)
 
 
 # --- checkpoints ------------------------------------------------------------------------------------------------------
 @pytest.mark.slow
-@pytest.mark.parametrize("before, after", [(2, 1), (1, 2)])
-@pytest.mark.parametrize(
-    "scene, knobs, tolerance",
-    [
-        ("beam_drop", {"n": 1, "steps": 20, "tolerance": 1e-12}, 1e-10),
-        ("beam_drop", {"n": 1, "steps": 20, "tolerance": 1e-12, "frame": "updated"}, 1e-10),
-        ("cavity", {"n": 1, "steps": 6, "tolerance": 1e-12}, 1e-10),
-        ("footing", {"n": 2, "steps": 6, "tolerance": 1e-11}, 1e-9),
-    ],
-    ids=["dynamic", "updated", "plastic", "footing"],
-)
-def test_a_checkpoint_is_taken_up_by_another_number_of_ranks(
-    tmp_path: Path, scene: str, knobs: dict, tolerance: float, before: int, after: int
-) -> None:
-    run = repr((scene, knobs))
-    assert "status ok" in ranks(1, "-c", STOPPED, str(tmp_path / "whole"), "2", run)
-    assert "status partial" in ranks(before, "-c", STOPPED, str(tmp_path / "parts"), "0.5", run)
-    assert (tmp_path / "parts" / "checkpoint.npz").exists()
-    assert "status ok" in ranks(after, "-c", STOPPED, str(tmp_path / "parts"), "2", run, "resume")
-    whole, parts = (Result.load(tmp_path / name) for name in ("whole", "parts"))
-    assert parts.work["steps"] == whole.work["steps"] and len(parts.history["t"]) == len(whole.history["t"])
-    for name, value in (whole.qoi or whole.error).items():
-        assert (parts.qoi or parts.error)[name] == pytest.approx(value, rel=tolerance), name
-    for name in ("kinetic", "internal", "external"):
-        scale = abs(whole.history["internal"]).max()
-        assert parts.history[name][-1] == pytest.approx(whole.history[name][-1], abs=10 * tolerance * scale), name
+def test_a_checkpoint_is_taken_up_by_another_number_of_ranks(tmp_path: Path) -> None:
+    whole, one, two = (str(tmp_path / name) for name in ("whole", "one", "two"))
+    ranks(1, "-c", STOP, json.dumps([(whole, 2, False), (one, 0.5, False)]), json.dumps(STOPPED))
+    assert (tmp_path / "one" / "0" / "checkpoint.npz").exists()
+    ranks(2, "-c", STOP, json.dumps([(two, 0.5, False), (one, 2, True)]), json.dumps(STOPPED))
+    ranks(1, "-c", STOP, json.dumps([(two, 2, True)]), json.dumps(STOPPED))
+    for i, (scene, knobs) in enumerate(STOPPED):
+        expected = Result.load(tmp_path / "whole" / str(i))
+        for folder in ("one", "two"):
+            found = Result.load(tmp_path / folder / str(i))
+            assert found.work["steps"] == expected.work["steps"] and len(found.history["t"]) == len(expected.history["t"])
+            # nothing but the order of sums differs; the footing's plastic flow multiplies it, its tolerance is 1e-11
+            tolerance = 1e-9 if scene == "footing" else 1e-10
+            for name, value in {**expected.qoi, **expected.error}.items():
+                got = {**found.qoi, **found.error}[name]
+                assert got == pytest.approx(value, rel=tolerance, abs=tolerance), (scene, knobs, folder, name)
+            scale = max(abs(expected.history["internal"]))
+            for name in ("kinetic", "internal", "external"):
+                assert found.history[name][-1] == pytest.approx(expected.history[name][-1], abs=10 * tolerance * scale), (
+                    scene,
+                    name,
+                )
 
 
 # --- interruption -----------------------------------------------------------------------------------------------------
 @pytest.mark.slow
 def test_interrupt_leaves_a_checkpoint_that_resume_completes(run_cli: Callable[..., Done], tmp_path: Path) -> None:
-    words = ["run", "beam_drop", "--method", "fem", "--set", "n=1", "--set", "steps=2000", "--json", "--out", str(tmp_path / "out")]
-    # the run says when it has begun; a second signal would end it at once
-    process = subprocess.Popen(
-        [sys.executable, "-m", "geofem", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=os.environ
-    )
-    seconds = 4.0
-    while process.poll() is None:
-        time.sleep(seconds)
-        os.kill(process.pid, signal.SIGINT)
-        break
-    stdout, stderr = process.communicate(timeout=120)
-    row = json.loads(stdout)
-    assert (process.returncode, row["status"]) == (130, "partial"), stderr
-    assert 0 < row["work"]["steps"] < 2000 and "interrupted" in row["message"]
-    assert (tmp_path / "out" / "checkpoint.npz").exists()
+    (tmp_path / "beam.py").write_text(INTERRUPTED)
+    words = [
+        "run",
+        f"{tmp_path / 'beam.py'}:scene",
+        "--method",
+        "fem",
+        "--set",
+        "n=1",
+        "--set",
+        "steps=20",
+        "--json",
+        "--out",
+        tmp_path / "out",
+    ]
+    stopped = run_cli(*words)
+    row = json.loads(stopped.stdout)
+    assert (stopped.returncode, row["status"]) == (130, "partial"), stopped.stderr
+    # the step in which it came is finished
+    assert row["work"]["steps"] == 11 and "interrupted" in row["message"]
     done = run_cli(*words, "--resume")
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["work"]["steps"] == 2000
+    whole = json.loads(run_cli("run", "beam_drop", "--method", "fem", "--set", "n=1", "--set", "steps=20", "--json").stdout)
+    row = json.loads(done.stdout)
+    assert row["work"]["steps"] == whole["work"]["steps"] == 20
+    assert row["error"]["tip"] == pytest.approx(whole["error"]["tip"], rel=1e-8)  # Newton's tolerance, from another start

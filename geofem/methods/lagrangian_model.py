@@ -44,6 +44,10 @@ class LagrangianModel:
         self._energy = {"kinetic": self.balance.kinetic() if scene.dynamic else 0.0, "internal": 0.0, "external": 0.0}
         self._imbalance = 0.0
         self._known_stress = -1.0, np.empty((0, 0))
+        for probe in scene.probes:
+            if probe.at is not None:
+                # now, on the reference mesh: that of a resumed run in the updated frame lies elsewhere
+                self._material_point(probe.at, probe.name)
         self._start = {"mass": self.balance.total("weight"), "volume": self.balance.total("volume")}
 
     def dt(self) -> float:
