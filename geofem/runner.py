@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import inspect
 import json
 import logging
@@ -19,6 +20,7 @@ from typing import Any
 import numba
 import numpy as np
 from mpi4py import MPI
+from petsc4py import PETSc
 from tqdm import tqdm
 
 from geofem import doctor, materials, methods, scenes
@@ -132,7 +134,15 @@ def run(
     result.cost = cost(start_wall, start_cpu, setup)
     if folder is not None and MPI.COMM_WORLD.rank == 0:
         result.save(folder)
+    del model, run_of_model
+    tidy()
     return result
+
+
+def tidy() -> None:
+    """Free the meshes, matrices and communicators of a run that has ended; a process has only some 2000 communicators. Collective."""
+    gc.collect()
+    PETSc.garbage_cleanup(MPI.COMM_WORLD)
 
 
 @cache

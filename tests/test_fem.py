@@ -6,13 +6,15 @@ element must meet to rounding.
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from blocks import RUBBER, STEEL, block, last, solved
 
-from geofem import Box, Load, Material, Polygon, Probe, Region, Scene, Support, scenes
+from geofem import Box, Load, Material, Polygon, Probe, Region, Scene, Support, runner, scenes
 from geofem.scenes._parts import any_of, at_least, at_most
 
 ELEMENTS = [("triangle", 1), ("triangle", 2), ("triangle", 3), ("quadrilateral", 1), ("quadrilateral", 2)]
@@ -201,3 +203,20 @@ def test_laws_of_finite_strain_differ_by_the_strain_squared() -> None:
     # the difference to linear elasticity is quadratic in the load; the next term, cubic, is of the size of the strain, 1 %
     order = np.log2(np.array(found[0]) / found[1])
     np.testing.assert_allclose(order, 2.0, atol=0.1)
+
+
+# --- what a run leaves behind -----------------------------------------------------------------------------------------
+def test_runs_leave_no_model_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    # MPI has about two thousand communicators: kept models use them up within a hundred runs, and the process is aborted
+    models: list[weakref.ref] = []
+    start = runner.Run.__init__
+
+    def noted(self: runner.Run, scene: Scene, model: object, *args: object) -> None:
+        models.append(weakref.ref(model))
+        start(self, scene, model, *args)
+
+    monkeypatch.setattr(runner.Run, "__init__", noted)
+    solved("cook", variant="E", n=2)
+    solved("beam_drop", n=1, steps=2, frame="updated")
+    gc.collect()
+    assert [model() for model in models] == [None, None]

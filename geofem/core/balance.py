@@ -5,7 +5,7 @@ This is the step that every mesh-based method makes; what becomes of the mesh be
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from dolfinx import fem, la
@@ -49,6 +49,7 @@ class MomentumBalance:
         self._load_driven = not scene.dynamic and bool(scene.loads) and not any(s.value for s in scene.supports)
         self.loads = Loads(scene, forms, body)
         self.points = PointState(scene, forms) if template.laws[0] == "points" else None
+        self._scalars: dict[str, fem.Form] = {}
         self._residual = forms.form("residual")
         self._matrix = Matrix(forms.form("tangent"))
         definite = not plastic and not template.mixed and not template.followers
@@ -103,11 +104,9 @@ class MomentumBalance:
 
     def total(self, kind: str) -> float:
         """The integral of a scalar form: ``energy`` (J), ``weight`` (mass, kg) or ``volume`` (m3)."""
-        return float(self.comm.allreduce(fem.assemble_scalar(self._scalar(kind)), op=MPI.SUM))
-
-    @cache  # noqa: B019 - a balance lives as long as its run
-    def _scalar(self, kind: str) -> fem.Form:
-        return self.forms.form(kind)
+        if kind not in self._scalars:
+            self._scalars[kind] = self.forms.form(kind)
+        return float(self.comm.allreduce(fem.assemble_scalar(self._scalars[kind]), op=MPI.SUM))
 
     @cached_property
     def mass(self) -> Matrix:

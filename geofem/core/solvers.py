@@ -92,6 +92,7 @@ class LinearSolver:
     def __init__(self, matrix: Matrix, space: fem.FunctionSpace, definite: bool):
         self.matrix, self.iterations = matrix, 0
         dofs = space.dofmap.index_map.size_global * space.dofmap.index_map_bs
+        self._definite = definite
         self._iterative = definite and space.mesh.geometry.dim == 3 and dofs > ITERATIVE_DOFS
         if self._iterative:
             matrix.mat.setBlockSize(3)
@@ -119,8 +120,9 @@ class LinearSolver:
                 self.ksp.solve(self._b, self._x)
                 reason = self.ksp.getConvergedReason()
                 failure = f"reason {reason}" if reason < 0 else ""
-                if not failure:
-                    # of a body that nothing holds, MUMPS finds pivots of rounding and an answer that is none
+                if self._definite and not failure:
+                    # of a body that nothing holds, MUMPS finds pivots of rounding and an answer that is none; where a plastic
+                    # body begins to flow the tangent is nearly singular too, but there backtracking makes use of the direction
                     self.matrix.mat.mult(self._x, self._left)
                     self._left.axpy(-1.0, self._b)
                     left, size = self._left.norm(), self._b.norm()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -44,10 +44,8 @@ class LagrangianModel:
         self._energy = {"kinetic": self.balance.kinetic() if scene.dynamic else 0.0, "internal": 0.0, "external": 0.0}
         self._imbalance = 0.0
         self._known_stress = -1.0, np.empty((0, 0))
-        for probe in scene.probes:
-            if probe.at is not None:
-                # now, on the reference mesh: that of a resumed run in the updated frame lies elsewhere
-                self._material_point(probe.at, probe.name)
+        # found now, on the reference mesh: that of a resumed run in the updated frame lies elsewhere
+        self._places = {p.at: MaterialPoint(self.forms, self.dofs, p.at, p.name) for p in scene.probes if p.at is not None}
         self._start = {"mass": self.balance.total("weight"), "volume": self.balance.total("volume")}
 
     def dt(self) -> float:
@@ -87,7 +85,7 @@ class LagrangianModel:
             self._energy["kinetic"] = self.balance.kinetic()
         if self.template.updated:
             base = self.forms.base.x.array.reshape(-1, 9 if self.scene.gdim == 3 else 5)
-            base[:] = compose(self.forms.evaluate(self._gradient()), base)
+            base[:] = compose(self.forms.evaluate(self._gradient), base)
             self._place_mesh()
             self.forms.unknown.x.array[self.dofs.index] = 0.0
 
@@ -100,10 +98,10 @@ class LagrangianModel:
         """True if the state that Newton left has points on some rank whose volume is gone or turned inside out."""
         if self.scene.strain == "small":
             return False
-        f = tensors(self.forms.evaluate(self._gradient()))
+        f = tensors(self.forms.evaluate(self._gradient))
         return self.comm.allreduce(bool(np.any(~(np.linalg.det(f) > CRUSHED))), op=MPI.LOR)
 
-    @cache  # noqa: B019 - a model lives as long as its run
+    @cached_property
     def _gradient(self) -> fem.Expression:
         return self.forms.strain()
 
@@ -112,19 +110,15 @@ class LagrangianModel:
         return self.balance.displacement[self.dofs.index].reshape(self.dofs.X.shape)
 
     # --- what the runner asks -------------------------------------------------------------------------------------
-    @cache  # noqa: B019
-    def _material_point(self, at: tuple[float, ...], name: str) -> MaterialPoint:
-        return MaterialPoint(self.forms, self.dofs, at, name)
-
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
         if probe.quantity in ("displacement", "velocity"):
             assert probe.at is not None
             field = self.balance.displacement if probe.quantity == "displacement" else self.balance.v
-            return self._material_point(probe.at, probe.name).vector(field[self.dofs.index], probe.component)
+            return self._places[probe.at].vector(field[self.dofs.index], probe.component)
         if probe.quantity == "stress":
             assert probe.at is not None
-            return self._material_point(probe.at, probe.name).from_quadrature(self._cauchy(), probe.component)
+            return self._places[probe.at].from_quadrature(self._cauchy(), probe.component)
         if probe.quantity == "reaction":
             support = [c for c in self.balance.conditions if c.support.name == probe.of and c.component == probe.component]
             return float(self.comm.allreduce(sum(self.balance.reaction[c.dofs].sum() for c in support), op=MPI.SUM))
@@ -153,12 +147,12 @@ class LagrangianModel:
 
     def _cauchy_of_regions(self) -> np.ndarray:
         shape = self.forms.owned, len(self.template.points), -1
-        first, *others = (self.forms.evaluate(stress).reshape(shape) for stress in self._stress())
+        first, *others = (self.forms.evaluate(stress).reshape(shape) for stress in self._stress)
         for cells, values in zip(self.forms.cells[1:], others):
             first[cells] = values[cells]
         return first.reshape(shape[0] * shape[1], -1)
 
-    @cache  # noqa: B019
+    @cached_property
     def _stress(self) -> list[fem.Expression]:
         return self.forms.cauchy()
 
