@@ -3,13 +3,13 @@
 uv run --group bench python benchmarks/assembly.py        (the peers that are not installed are left out)
 
 All in one process on one thread: process CPU seconds, the least of several rounds in which the contenders take turns. Meshes of
-the unit square and cube with the same cells, the same quadrature, full matrices without boundary conditions. What is timed:
+the unit square and cube with as many cells, the same quadrature, full matrices without boundary conditions. What is timed:
 
 geofem      ``Matrix.assemble``: the entries; the pattern and the compiled form are there before.
 NGSolve     ``BilinearForm.Assemble`` a second time: memory and pattern are there before. ``form`` is a symbolic form on
             ``VectorH1``, ``blocks`` the same on ``H1(dim=d)``, whose entries are d x d blocks, and ``compiled`` this one turned
             into machine code by the C++ compiler, the fastest found. Its older integrator ``BFI("elasticity")`` takes as long,
-            but in release 6.2.2608 its matrix fails the test below, now and then in order 2 and always in order 1.
+            but in release 6.2.2608 its matrix now and then fails the test below, mostly in order 1.
 scikit-fem  ``assemble`` to CSR with the basis made before; ``entries`` without the conversion to CSR, which it makes anew at
             every assembly and which the others do not need.
 

@@ -362,11 +362,17 @@ class Forms:
             for i, law in enumerate(self.template.laws)
         ]
 
-    def expression(self, expression: Any) -> fem.Expression:
+    def strain_at_vertices(self) -> fem.Expression:
+        """The expression of ``strain`` at the vertices of the cells, where they tangle first."""
+        u = ufl.split(self.unknown)[0] if self.template.mixed else self.unknown
+        expression = strain_vector(u, ufl.SpatialCoordinate(self.mesh), self.template)
+        return self.expression(expression, basix.geometry(getattr(basix.CellType, self.template.cell)))
+
+    def expression(self, expression: Any, points: np.ndarray | None = None) -> fem.Expression:
         with phase("jit"):
-            return fem.Expression(expression, self.template.points, jit_options=dict(JIT))
+            return fem.Expression(expression, self.template.points if points is None else points, jit_options=dict(JIT))
 
     def evaluate(self, expression: fem.Expression) -> np.ndarray:
         """An expression at the quadrature points of all owned cells, (owned cells * points, components)."""
         values = expression.eval(self.mesh, np.arange(self.owned, dtype=np.int32))
-        return values.reshape(self.owned * len(self.template.points), -1)
+        return values.reshape(-1, expression.ufl_expression.ufl_shape[0])

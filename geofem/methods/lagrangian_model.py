@@ -57,6 +57,7 @@ class LagrangianModel:
             before = self.balance.newton.iterations
             try:
                 self.balance.solve(self.t + dt, dt)
+                self._check_vertices()
                 break
             except Breakdown as end:
                 cause = "tangle" if self._crushed() else end.cause
@@ -100,6 +101,18 @@ class LagrangianModel:
             return False
         f = tensors(self.forms.evaluate(self._gradient))
         return self.comm.allreduce(bool(np.any(~(np.linalg.det(f) > CRUSHED))), op=MPI.LOR)
+
+    def _check_vertices(self) -> None:
+        """Raise ``Breakdown`` (tangle) if a cell has turned inside out at a corner, which its quadrature points do not see."""
+        if self.scene.strain == "small":
+            return
+        least = np.linalg.det(tensors(self.forms.evaluate(self._gradient_at_vertices))).min(initial=np.inf)
+        if not (least := self.comm.allreduce(float(least), op=MPI.MIN)) > 0.0:
+            raise Breakdown("tangle", f"a cell is inside out at a corner (det F = {least:.2g})")
+
+    @cached_property
+    def _gradient_at_vertices(self) -> fem.Expression:
+        return self.forms.strain_at_vertices()
 
     @cached_property
     def _gradient(self) -> fem.Expression:
