@@ -129,7 +129,10 @@ def run(
         setup = time.process_time() - start_cpu - CLOCK.seconds["jit"]
         if resume:
             run_of_model.resume()
-        run_of_model.loop()
+        try:
+            run_of_model.loop()
+        finally:
+            run_of_model.close()
     finish(made, model, result)
     result.cost = cost(start_wall, start_cpu, setup)
     if folder is not None and MPI.COMM_WORLD.rank == 0:
@@ -205,12 +208,15 @@ class Run:
                     result.status, result.message = "partial", f"interrupted at t = {model.t:.6g} of {scene.t_end:g}"
                     result.at = self.place()
                     break
-        self.bar.close()
         if self.samples[-1][0] < model.t:
             self.sample()
+        result.history = dict(zip(self.names, np.array(self.samples).T))
+
+    def close(self) -> None:
+        """End the progress line and finish the file of fields, also after an error."""
+        self.bar.close()
         if self.fields is not None:
             self.fields.close()
-        result.history = dict(zip(self.names, np.array(self.samples).T))
 
     def draw(self) -> None:
         """Add the present fields to the series that ParaView opens. Collective."""

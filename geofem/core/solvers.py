@@ -19,7 +19,8 @@ from geofem.mistake import Breakdown
 OURS: set[str] = set()
 """Names of PETSc options that hold our defaults and not the user's wish."""
 ITERATIVE_DOFS = 30_000
-"""3D problems above this many dofs are solved by CG + GAMG, all others by MUMPS (nine times faster at 98k dofs in 3D)."""
+"""3D problems above this many dofs are solved by CG + GAMG, all others by MUMPS: up to three times faster at 73k dofs
+(benchmarks/solvers.py)."""
 
 FACTORISATION_ERRORS = (71, 72, 76)
 """PETSc's numbers of a zero pivot, a floating point exception, and an error within an external library like MUMPS."""
