@@ -146,7 +146,7 @@ class MomentumBalance:
     # --- what Newton asks -----------------------------------------------------------------------------------------
     def _evaluate(self) -> Residual:
         valid = self._update_points()
-        internal = self._internal_force()
+        internal = self._new_internal = self._internal_force()
         force = internal - self._new_external
         scale = self.norm(self._new_external)
         if not self._load_driven:
@@ -212,7 +212,8 @@ class MomentumBalance:
         Returns the displacement increment, the work of internal forces and of loads and supports over the step (J, by the
         trapezoidal rule: exact for dead loads and linear springs), and the norm of the force left out of balance (N).
         """
-        internal, du = self._internal_force(), self._increment()
+        # Newton's last evaluation was of this very state
+        internal, du = self._new_internal, self._increment()
         out_of_balance = internal - self._new_external
         if self.scene.dynamic:
             a = self.scheme.acceleration(du, self.v, self.a, self._dt)

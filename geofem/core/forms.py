@@ -344,11 +344,10 @@ class Forms:
         constants = {s.constants[name]: value for name, value in self.constants.items()}
         return fem.create_form(code, [self.space] * rank, self.mesh, domains, self._coefficients, constants)
 
-    def strain(self) -> fem.Expression:
-        """The expression that gives the strain vector of point kernels at the quadrature points."""
+    def strain(self, points: np.ndarray | None = None) -> fem.Expression:
+        """The expression of the strain vector of point kernels, at the quadrature points unless others are named."""
         u = ufl.split(self.unknown)[0] if self.template.mixed else self.unknown
-        expression = strain_vector(u, ufl.SpatialCoordinate(self.mesh), self.template)
-        return self.expression(expression)
+        return self.expression(strain_vector(u, ufl.SpatialCoordinate(self.mesh), self.template), points)
 
     def cauchy(self) -> list[fem.Expression]:
         """The expressions of the Cauchy stress of the regions' UFL laws."""
@@ -364,9 +363,7 @@ class Forms:
 
     def strain_at_vertices(self) -> fem.Expression:
         """The expression of ``strain`` at the vertices of the cells, where they tangle first."""
-        u = ufl.split(self.unknown)[0] if self.template.mixed else self.unknown
-        expression = strain_vector(u, ufl.SpatialCoordinate(self.mesh), self.template)
-        return self.expression(expression, basix.geometry(getattr(basix.CellType, self.template.cell)))
+        return self.strain(basix.geometry(getattr(basix.CellType, self.template.cell)))
 
     def expression(self, expression: Any, points: np.ndarray | None = None) -> fem.Expression:
         with phase("jit"):
