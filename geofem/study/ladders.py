@@ -74,7 +74,7 @@ LADDERS: dict[str, list[Ladder]] = {
         fem("cook", "Q2", Q2, (2, 4, 8, 16, 32), variant="A"),
         fem("cook", "P1", P1, (2, 4, 8, 16), variant="D"),
         fem("cook", "P2", P2, (2, 4, 8), variant="D"),
-        fem("cook", "P2-P1 mixed", MIXED, (2, 4, 8), variant="D"),
+        fem("cook", "P2-P1 mixed", MIXED, (2, 4, 8, 16), variant="D"),
     ],
     "beam_drop": [
         fem("beam_drop", "P2", P2, (1, 2, 4)),
