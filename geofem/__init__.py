@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from geofem.scene import (
         Box,
         Crack,
+        Disc,
         Load,
         Material,
         Measure,
@@ -30,9 +31,11 @@ if TYPE_CHECKING:
         Probe,
         Reference,
         Region,
+        Rigid,
         Ring,
         Scene,
         Support,
+        Wall,
     )
     from geofem.study.sweep import compare
 
@@ -49,8 +52,8 @@ _caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_caches / "geofem" / f"numba-{_stamp}"))
 
 __all__ = [
-    "Box", "Breakdown", "Crack", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe", "Reference",
-    "Region", "Result", "Ring", "Scene", "Support", "compare", "run",
+    "Box", "Breakdown", "Crack", "Disc", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe",
+    "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Support", "Wall", "compare", "run",
 ]  # fmt: skip
 
 _HOMES = {

@@ -104,6 +104,25 @@ class Ring:
 
 
 @dataclass(frozen=True)
+class Disc:
+    """The disc |x - centre| <= radius (m)."""
+
+    centre: Point
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not self.radius > 0:
+            raise Mistake(f"Disc: the radius must be positive, got {self.radius:g}")
+
+    @property
+    def bounds(self) -> tuple[Point, Point]:
+        return tuple(c - self.radius for c in self.centre), tuple(c + self.radius for c in self.centre)
+
+    def contains(self, x: Array) -> Array:
+        return np.hypot(x[0] - self.centre[0], x[1] - self.centre[1]) <= self.radius
+
+
+@dataclass(frozen=True)
 class MeshFile:
     """A mesh read from a Gmsh .msh file or any format that meshio reads; ``group`` picks one physical group of cells."""
 
@@ -111,7 +130,7 @@ class MeshFile:
     group: str | None = None
 
 
-Shape = Box | Polygon | Ring | MeshFile
+Shape = Box | Polygon | Ring | Disc | MeshFile
 
 
 @dataclass(frozen=True)
@@ -145,6 +164,51 @@ class Support:
     where: Where
     components: tuple[int, ...]
     value: Callable[[Array, float], Array] | None = None
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A fixed plane that stops the bodies where ``where`` is true, and lets go of what moves away from it.
+
+    where : predicate, true on the wall and beyond it; unlike that of a support it is asked of *present* positions.
+    normal : unit vector along an axis, from the wall towards the bodies.
+    friction : Coulomb's coefficient; 0 is a smooth wall, ``math.inf`` a rough one.
+    """
+
+    name: str
+    where: Callable[[Array], Array]
+    normal: Point
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        if sorted(map(abs, self.normal)) != [0.0] * (len(self.normal) - 1) + [1.0]:
+            raise Mistake(f"wall {self.name}: normal is a unit vector along an axis, like (0, 1), not {self.normal}")
+        if not self.friction >= 0:
+            raise Mistake(f"wall {self.name}: friction = {self.friction:g} must not be negative")
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """A rigid body that moves as told and touches the bodies: they slide along it with Coulomb's friction and may part from it.
+
+    shape : a convex polygon at t = 0.
+    motion : t -> displacement (m) of the rigid body, a translation; None if it stands still.
+    friction : Coulomb's coefficient; 0 is smooth, ``math.inf`` is rough.
+    """
+
+    name: str
+    shape: Polygon
+    motion: Callable[[float], Point] | None = None
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        p = np.array(self.shape.points)
+        side = np.roll(p, -1, axis=0) - p
+        after = np.roll(side, -1, axis=0)
+        if np.any(side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0] <= 0):
+            raise Mistake(f"rigid body {self.name}: its polygon must be convex, without corners of 180 degrees")
+        if not self.friction >= 0:
+            raise Mistake(f"rigid body {self.name}: friction = {self.friction:g} must not be negative")
 
 
 @dataclass(frozen=True)
@@ -185,8 +249,9 @@ class Probe:
     quantity :
         ``displacement``, ``velocity`` component of the material point ``at`` (reference coordinates);
         ``stress`` Cauchy stress component (0..5 for xx, yy, zz, xy, yz, xz) at the material point ``at``;
-        ``reaction`` component of the force (N, per metre in plane strain, per radian in axisymmetry) that support ``of``
-        exerts on the body;
+        ``reaction`` component of the force (N, per metre in plane strain, per radian in axisymmetry) that the support, wall
+        or rigid body ``of`` exerts on the bodies;
+        ``quantile`` coordinate ``component`` (m) below which ``share`` of the mass lies: the front of a flow, its height;
         ``mean_velocity`` component of the velocity of the centre of mass;
         ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n).
     """
@@ -197,6 +262,7 @@ class Probe:
     component: int = 0
     of: str | None = None
     exact: Callable[[Array, float], Array] | None = None
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -246,7 +312,9 @@ class Scene:
     dynamic : False: inertia is ignored, t is a load factor and 0 < t <= t_end is reached in steps.
     period : the time (s) of one oscillation of a dynamic scene, by which methods choose their step; t_end if None.
     singular : points where the exact stress is singular or jumps: a method may grade its cells towards them.
+    walls, rigids : what the bodies may touch and leave again.
     room : a box around all that the bodies will do, for methods with a background grid.
+    intact : True if the bodies hold together however far they are stretched; a method in which they part has failed.
     collapse : True if the run is to find the t at which equilibrium is lost, and to end there with status ``ok``.
     weakening : t -> factor by which the strength (c and tan phi) is divided at t (strength reduction).
     at : t -> where the run stands in the scene's own terms, like {"amplitude": 0.3}; a failure is reported with it.
@@ -269,8 +337,11 @@ class Scene:
     period: float | None = None
     initial_velocity: Callable[[Array], Array] | None = None
     cracks: tuple[Crack, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    rigids: tuple[Rigid, ...] = ()
     singular: tuple[Point, ...] = ()
     room: Box | None = None
+    intact: bool = False
     collapse: bool = False
     weakening: Callable[[float], float] | None = None
     at: Callable[[float], Mapping[str, float]] | None = None
@@ -285,7 +356,7 @@ class Scene:
             raise Mistake(f"scene {self.name}: strain is small or finite, not {self.strain!r}")
         if not self.regions:
             raise Mistake(f"scene {self.name}: has no region; give it at least one body")
-        names = [s.name for s in self.supports]
+        names = [one.name for one in (*self.supports, *self.walls, *self.rigids)]
         for probe in self.probes:
             if probe.quantity == "reaction" and probe.of not in names:
                 raise Mistake(f"scene {self.name}: probe {probe.name!r} measures the reaction of unknown support {probe.of!r}")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from geofem.mistake import Mistake
-from geofem.scene import Array, Box, Point, Polygon, Region, Ring, Scene
+from geofem.scene import Array, Box, Disc, Point, Polygon, Region, Ring, Scene
 
 CELLS = {2: ("triangle", "quadrilateral"), 3: ("tetrahedron", "hexahedron")}
 
@@ -350,6 +350,8 @@ def fragments(
 
 def plane_surface(occ: Any, shape: Any) -> int:
     """The tag of a new surface of that shape."""
+    if isinstance(shape, Disc):
+        return occ.addDisk(*shape.centre, 0.0, shape.radius, shape.radius)
     if isinstance(shape, Ring):
         outer, inner = (occ.addDisk(*shape.centre, 0.0, r, r) for r in (shape.outer, shape.inner))
         return occ.cut([(2, outer)], [(2, inner)])[0][0][1]

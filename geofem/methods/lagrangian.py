@@ -26,6 +26,8 @@ class Fem:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
         if scene.cracks:
             return "fem has no mesh that follows a crack yet; use xfem"
+        if scene.walls or scene.rigids:
+            return "fem has no contact with walls or rigid bodies; use a material point method"
         laws = {region.material.law for region in scene.regions}
         if scene.plane == "plane_stress" and laws != {"linear_elastic"}:
             return "plane stress is there for linear_elastic only; use plane_strain"
