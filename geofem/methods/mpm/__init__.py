@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from geofem import materials
-from geofem.methods.mpm.kernels import SCHEMES
 from geofem.methods.mpm.model import ExplicitMpm
+from geofem.methods.mpm.passes import SCHEMES
 from geofem.mistake import Mistake, unknown
-from geofem.scene import MeshFile, Scene
+from geofem.scene import Scene
+
+TRANSFERS = ("flip", "pic", "apic", "xpic")
 
 
-class LinearMpm:
-    """The method ``mpm-linear``: hat functions, explicit in time, in plane strain (Sulsky, Chen & Schreyer 1994).
+class Mpm:
+    """What all material point methods share; a subclass names its shape functions."""
 
-    Where it ends: points that cross the borders of cells feel a jump of the gradient, so that the error of large motions
-    grows as the grid is refined; a body stretched beyond ``ppc`` falls apart.
-    """
-
-    name = "mpm-linear"
+    name = "mpm"
+    scheme = "usl"
+    small_mass = 0.0
 
     def refuses(self, scene: Scene) -> str | None:
-        if scene.plane != "plane_strain":
-            return f"{self.name} works in plane strain only, not in {scene.plane}"
+        """Why this method cannot solve the scene, in a sentence; None if it can."""
+        if scene.plane == "plane_stress":
+            return f"{self.name} works in plane strain, axial symmetry and space, not in plane stress"
         if any(load.kind in ("traction", "pressure") for load in scene.loads):
             return f"{self.name} takes no boundary traction yet"
-        if any(isinstance(region.shape, MeshFile) for region in scene.regions):
-            return f"{self.name} fills boxes, polygons and rings with points, not mesh files"
         if any(isinstance(support.where, str) for support in scene.supports):
             return f"{self.name} needs supports as predicates of position, not as groups of a mesh file"
         if scene.cracks:
             return f"{self.name} has no cracks"
-        if scene.collapse or scene.weakening is not None:
+        if scene.collapse:
             return f"{self.name} does not search for a collapse load"
+        if scene.rigids and scene.plane != "plane_strain":
+            return f"{self.name} touches rigid bodies in plane strain only"
         if not all(region.material.density > 0 for region in scene.regions):
             return f"{self.name} is explicit and needs a density in every region"
-        from mpi4py import MPI
+        return None
 
-        return f"{self.name} runs on one rank" if MPI.COMM_WORLD.size > 1 else None
+    def shape(self) -> str:
+        """The name of the shape functions."""
+        raise NotImplementedError
 
     def build(
         self,
@@ -43,32 +48,51 @@ class LinearMpm:
         *,
         n: int = 8,
         ppc: int = 2,
+        transfer: str = "flip",
         flip: float | None = None,
-        scheme: str = "musl",
+        xpic: int = 2,
+        scheme: str | None = None,
         cfl: float = 0.3,
         damping: float | None = None,
+        small_mass: float | None = None,
+        cure: str = "none",
+        split: float = 0.0,
         load_steps: int = 1,
+        passages: float | None = None,
         tolerance: float = 1e-4,
         sort_after: float = 1.0,
+        threads: int = 1,
     ) -> ExplicitMpm:
         """The model of a scene.
 
         n : cells across the scene's length. ppc : points per cell in each direction.
-        flip : share of FLIP in the update of velocities: 1 keeps the energy and the noise, 0 (PIC) damps both; by default
-            1, and 0.99 in a scene without inertia.
+        transfer : flip (the grid's acceleration is added), pic (its velocity is taken), apic (and its gradient: Jiang et al. 2015),
+            xpic (flip without what the grid does not see: Hammerquist and Nairn 2017).
+        flip : share of flip in its blend with pic: 1 keeps the energy and the noise; by default 1, and 0.99 in a scene without
+            inertia. xpic : its order m; 1 is pic, and flip the limit.
         scheme : when the stress is updated: usf first, usl last, musl last with velocities mapped anew.
         cfl : step times (wave speed + largest speed) over the size of a cell.
         damping : local damping, the share of the out-of-balance force that acts against the motion (Cundall 1987); by default
             0, and 0.7 in a scene without inertia.
+        small_mass : nodes with less than this share of a point's mass move as one with their heaviest neighbour.
+        cure : none, or cell: volumetric strain and mean stress are averaged over the points of a cell, against locking.
+        split : a point is split in two when its domain is longer than so many cells; 0 never.
         load_steps : loads at which a scene without inertia is brought to rest, that is to a kinetic energy below ``tolerance``
             times the work of the loads. The fewer the better where points cross cells: each crossing leaves a strain behind.
+        passages : push the load on steadily instead, all of it in so many passages of a wave through the body.
         sort_after : the points are put in the order of their cells when they have crossed so many borders each, on average.
+        threads : of the passes over points and nodes.
 
         Raises ``Mistake`` for a knob or a material out of range.
         """
+        scheme = scheme or self.scheme
         if scheme not in SCHEMES:
             raise unknown("scheme", scheme, SCHEMES)
-        for knob, value in (("n", n), ("ppc", ppc), ("load_steps", load_steps)):
+        if transfer not in TRANSFERS:
+            raise unknown("transfer", transfer, TRANSFERS)
+        if cure not in ("none", "cell"):
+            raise unknown("cure", cure, ("none", "cell"))
+        for knob, value in (("n", n), ("ppc", ppc), ("load_steps", load_steps), ("xpic", xpic), ("threads", threads)):
             if value != int(value) or value < 1:
                 raise Mistake(f"{self.name}: {knob} = {value!r} must be a whole number from 1 on")
         if flip is None:
@@ -81,7 +105,71 @@ class LinearMpm:
             damping = 0.0 if scene.dynamic else 0.7
         if not 0 <= damping < 1:
             raise Mistake(f"{self.name}: damping = {damping:g} must lie in [0, 1)")
+        small_mass = self.small_mass if small_mass is None else small_mass
+        if not 0 <= small_mass <= 0.5:
+            raise Mistake(f"{self.name}: small_mass = {small_mass:g} must lie in [0, 0.5]")
+        if split != 0 and not split > 0.5:
+            raise Mistake(f"{self.name}: split = {split:g} must be 0 (never) or more than half a cell")
+        if passages is not None and not passages > 0:
+            raise Mistake(f"{self.name}: passages = {passages:g} must be positive")
         for region in scene.regions:
             materials.check(region.material, f"region {region.name}")
-        return ExplicitMpm(scene, shape="linear", n=int(n), ppc=int(ppc), flip=flip, scheme=scheme, cfl=cfl, damping=damping,
-                           load_steps=int(load_steps), tolerance=tolerance, sort_after=sort_after)  # fmt: skip
+        return ExplicitMpm(
+            scene, shape=self.shape(), n=int(n), ppc=int(ppc), transfer="flip" if transfer == "pic" else transfer,
+            flip=0.0 if transfer == "pic" else flip, order=int(xpic), scheme=scheme, cfl=cfl, damping=damping,
+            small_mass=small_mass, cure=cure == "cell", split=split, load_steps=int(load_steps), passages=passages,
+            tolerance=tolerance, sort_after=sort_after, threads=int(threads),
+        )  # fmt: skip
+
+
+class LinearMpm(Mpm):
+    """``mpm-linear``: hat functions (Sulsky, Chen & Schreyer 1994).
+
+    Where it ends: points that cross the borders of cells feel a jump of the gradient, so that the error of large motions
+    grows as the grid is refined; a body stretched beyond ``ppc`` falls apart.
+    """
+
+    name = "mpm-linear"
+    scheme = "musl"
+
+    def shape(self) -> str:
+        return "hat"
+
+
+class GimpMpm(Mpm):
+    """``mpm-gimp``: hats averaged over the domain of each point (Bardenhagen & Kober 2004)."""
+
+    name = "mpm-gimp"
+
+    def shape(self) -> str:
+        return "gimp"
+
+
+class CpdiMpm(Mpm):
+    """``mpm-cpdi``: hats interpolated over parallelograms that deform with the points (Sadeghirad, Brannon & Burghardt 2011)."""
+
+    name = "mpm-cpdi"
+
+    def shape(self) -> str:
+        return "cpdi"
+
+
+class Cpdi2Mpm(Mpm):
+    """``mpm-cpdi2``: hats interpolated over quadrilaterals that keep touching (Sadeghirad, Brannon & Guilkey 2013)."""
+
+    name = "mpm-cpdi2"
+
+    def shape(self) -> str:
+        return "cpdi2"
+
+    def refuses(self, scene: Scene) -> str | None:
+        return super().refuses(scene) or ("mpm-cpdi2 has quadrilaterals, not hexahedra" if scene.gdim == 3 else None)
+
+
+class BsplineMpm(Mpm):
+    """``mpm-bspline``: quadratic or cubic B-splines (Steffen, Kirby & Berzins 2008)."""
+
+    name = "mpm-bspline"
+
+    def shape(self) -> str:
+        return "bspline2"

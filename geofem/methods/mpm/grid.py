@@ -1,4 +1,8 @@
-"""The background grid: a lattice of square cells, its nodes in rows along y, and what happens on them in a step."""
+"""The background grid: a lattice of square or cubic cells, and what happens on its nodes in a step.
+
+A rank keeps the nodes of its own cells and of a halo around them, in rows along the last axis. In the loops below a lattice in
+the plane is one in space whose middle axis has a single node.
+"""
 
 from __future__ import annotations
 
@@ -8,169 +12,243 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from geofem.scene import Array, Scene, Support
+from geofem.materials.kinematics import FLAGS
+from geofem.methods.mpm.deeds import MASS, VELOCITY
+from geofem.methods.mpm.shapes import Shape
+from geofem.mistake import Mistake
+from geofem.scene import Array, MeshFile, Scene
 
-FAST = {"fastmath": {"contract", "nsz", "arcp", "reassoc"}, "error_model": "numpy"}
+OPTIONS = {"nogil": True, "cache": True, **FLAGS}
 
-# Columns of the grid; a node fills a cache line. V: momentum, then velocity; A: force, then acceleration; W: the
-# velocity behind the strains where that is not V.
-MASS, VX, VY, AX, AY, WX, WY, COLUMNS = 0, 1, 2, 3, 4, 5, 6, 8
-# Sums over one step: kinetic energy and largest squared speed of the points after it; work and impulse of all that is
-# not internal; work of the stresses; absolute nodal forces out of balance, and absolute reactions (N).
-KINETIC, SPEED2, WORK, IMPULSE_X, IMPULSE_Y, STRAIN_WORK, UNBALANCE, REACTIONS, SUMS = 0, 1, 2, 3, 4, 5, 6, 7, 8
-# Marks of one step: points that changed cell; the box of cells that hold points; a fault and the point that has it.
-CROSSED, I0, I1, J0, J1, FAULT, POINT, MARKS = 0, 1, 2, 3, 4, 5, 6, 7
+
+COLUMNS = {2: 8, 3: 12}
+"""Columns per node: a cache line in the plane."""
+
+# Sums over one step: kinetic energy and largest squared speed of the points after it; work (without that of the stresses), work
+# of the stresses; absolute nodal forces out of balance, and absolute reactions (N); points that changed cell; impulse (N s).
+KINETIC, SPEED2, WORK, STRAIN_WORK, UNBALANCE, REACTIONS, CROSSED, IMPULSE, SUMS = 0, 1, 2, 3, 4, 5, 6, 7, 10
+# Marks of one step: a fault and the point that has it; the box of nodes that the points reach, first and last of each axis.
+FAULT, POINT, BOX, MARKS = 0, 1, 2, 8
 TANGLED, ESCAPED = 1, 2
 FAR = 1 << 40
 
 
 @dataclass
 class Grid:
-    """Lattice of ``shape`` nodes, spacing ``h`` (m), from ``low`` (m); ``nodes`` (n, COLUMNS) is made anew every step."""
+    """Lattice of ``shape`` nodes, spacing ``h`` (m), from ``low`` (m), with ``pad`` nodes beyond the room on every side.
+
+    nodes : (n, columns) of the window of rows ``first`` ... ``last`` (exclusive) along x, made anew every step.
+    own : rows whose nodes this rank counts in sums.
+    """
 
     low: Array
     h: float
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
+    pad: int
     nodes: Array
+    first: int
+    own: tuple[int, int]
 
     @property
-    def lattice(self) -> tuple[float, float, float, int, int]:
-        """What the kernels need: the low corner, cells per metre, nodes along x and along y."""
-        return float(self.low[0]), float(self.low[1]), 1.0 / self.h, self.shape[0], self.shape[1]
+    def dim(self) -> int:
+        return len(self.shape)
+
+    @property
+    def lattice(self) -> tuple[float, float, float, float, int, int, int, int, int]:
+        """What the loops of a shape need: the low corner, cells per metre, nodes along each axis, first row's number, pad."""
+        low, shape = [*self.low, 0.0][:3], [*self.shape, 1][:3]
+        return (*map(float, low), 1.0 / self.h, *shape, self.first * int(np.prod(self.shape[1:])), self.pad)  # type: ignore[return-value]
+
+    @property
+    def rows(self) -> tuple[int, int, int]:
+        """Nodes along the middle and the last axis, and the number of the window's first node."""
+        middle, last = (1, self.shape[1]) if self.dim == 2 else self.shape[1:]
+        return middle, last, self.first * middle * last
+
+    def box(self, marks: Array) -> tuple[int, int, int, int, int, int]:
+        """The nodes that the points reach: first and end of the three axes of a loop."""
+        i0, i1, j0, j1, k0, k1 = (int(value) for value in marks[BOX : BOX + 6])
+        if self.dim == 2:
+            return i0, i1 + 1, 0, 1, j0, j1 + 1
+        return i0, i1 + 1, j0, j1 + 1, k0, k1 + 1
+
+    def coordinates(self) -> Array:
+        """Positions (dim, n) of the nodes of the window."""
+        last = self.first + len(self.nodes) // int(np.prod(self.shape[1:]))
+        axes = [self.low[c] + self.h * np.arange(self.shape[c]) for c in range(self.dim)]
+        axes[0] = axes[0][self.first : last]
+        return np.stack(np.meshgrid(*axes, indexing="ij")).reshape(self.dim, -1)
 
 
-class Held:
-    """The nodal components that the supports prescribe, one after the other.
+def bodies(scene: Scene, bounds: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """The box around all bodies; bounds : of each region."""
+    low, high = (np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0))
+    return low, high
 
-    arrays : nodes, components (k,), their velocity (m/s), and the force (N) on the body that this took in the last step.
+
+def make_grid(scene: Scene, h: float, shape: Shape, bounds: list[tuple[Array, Array]]) -> Grid:
+    """The whole grid of a scene, without its nodes' values, with the low corner of the bodies on a node.
+
+    It covers the room of the scene, or the bodies and two cells around them. Raises ``Mistake`` where a body leaves the room.
     """
-
-    def __init__(self, scene: Scene, coordinates: Array):
-        nodes, components = [np.empty(0, int)], [np.empty(0, int)]
-        self.parts: list[tuple[Support, slice, Array]] = []
-        start = 0
-        for support in scene.supports:
-            assert callable(support.where)
-            found = np.flatnonzero(support.where(coordinates))
-            for c in support.components:
-                nodes.append(found)
-                components.append(np.full(len(found), c))
-                self.parts.append((support, slice(start, start + len(found)), coordinates[:, found]))
-                start += len(found)
-        self.arrays = np.concatenate(nodes), np.concatenate(components), np.zeros(start), np.zeros(start)
-
-    def follow(self, t0: float, t1: float, dt: float) -> None:
-        """The velocity that takes the supports in dt (s) to their place at the scene's time t1 from that at t0."""
-        for support, part, x in self.parts:
-            if support.value is not None:
-                self.arrays[2][part] = (support.value(x, t1) - support.value(x, t0)) / dt
-
-    def reaction(self, name: str, component: int) -> float:
-        """The force (N) that a support exerted on the body in the last step."""
-        found = (part for support, part, _ in self.parts if support.name == name)
-        return float(sum(np.sum(self.arrays[3][part][self.arrays[1][part] == component]) for part in found))
+    low, high = bodies(scene, bounds)
+    room = (np.array(scene.room.low), np.array(scene.room.high)) if scene.room else (low - 2 * h, high + 2 * h)
+    if np.any(low < room[0] - 1e-9 * h) or np.any(high > room[1] + 1e-9 * h):
+        raise Mistake(f"scene {scene.name}: its bodies reach beyond its room, {scene.room}; enlarge the room")
+    pad = shape.pad
+    below = np.ceil((low - room[0]) / h - 1e-9).astype(int) + pad
+    above = np.ceil((room[1] - low) / h - 1e-9).astype(int) + pad
+    counts = tuple(int(n) for n in below + above + 1)
+    return Grid(low - below * h, h, counts, pad, np.empty((0, 0)), 0, (0, counts[0]))
 
 
-def make_grid(scene: Scene, h: float) -> tuple[Grid, Array]:
-    """The grid of a scene with the low corner of the bodies on a node, and its nodes' coordinates (2, n).
-
-    It covers the room of the scene, or the bodies and two cells around them. Coordinates within rounding of a body's
-    bounds are put on them, so that a support's ``x[0] >= 4`` finds the nodes there.
-    """
-    bounds = np.array([region.shape.bounds for region in scene.regions])  # type: ignore[union-attr]
-    body = bounds[:, 0].min(0), bounds[:, 1].max(0)
-    room = (np.array(scene.room.low), np.array(scene.room.high)) if scene.room else (body[0] - 2 * h, body[1] + 2 * h)
-    below = np.ceil((body[0] - room[0]) / h - 1e-9).astype(int)
-    above = np.ceil((room[1] - body[0]) / h - 1e-9).astype(int)
-    axes = []
-    for c in range(2):
-        x = body[0][c] + h * np.arange(-below[c], above[c] + 1)
-        for edge in bounds[:, :, c].ravel():
-            x[np.abs(x - edge) < 1e-9 * h] = edge
-        axes.append(x)
-    shape = len(axes[0]), len(axes[1])
-    coordinates = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(2, -1)
-    nodes = np.zeros((shape[0] * shape[1], COLUMNS))
-    return Grid(body[0] - below * h, h, shape, nodes), coordinates
+def on_edges(coordinates: Array, bounds: list[tuple[Array, Array]], h: float) -> Array:
+    """Coordinates within rounding of a body's bounds put on them, so that a support's ``x[0] >= 4`` finds the nodes there."""
+    for edges in bounds:
+        for edge in edges:
+            for x, value in zip(coordinates, edge):
+                x[np.abs(x - value) < 1e-9 * h] = value
+    return coordinates
 
 
-@njit(cache=True, **FAST)
-def clear(grid: Any, box: Any, ny: int) -> None:
+def shape_bounds(scene: Scene) -> list[tuple[Array, Array]] | None:
+    """Bounds of the regions' shapes; None where a mesh file has yet to be read."""
+    if any(isinstance(region.shape, MeshFile) for region in scene.regions):
+        return None
+    return [tuple(np.array(corner) for corner in region.shape.bounds) for region in scene.regions]  # type: ignore[union-attr,misc]
+
+
+# --- loops over the nodes of a box ------------------------------------------------------------------------------------------
+@njit(**OPTIONS)
+def clear(nodes: Any, box: Any, rows: Any) -> None:
+    middle, last, base = rows
     for i in range(box[0], box[1]):
-        for n in range(i * ny + box[2], i * ny + box[3]):
-            for k in range(COLUMNS):
-                grid[n, k] = 0.0
+        for j in range(box[2], box[3]):
+            start = (i * middle + j) * last - base
+            for n in range(start + box[4], start + box[5]):
+                for k in range(nodes.shape[1]):
+                    nodes[n, k] = 0.0
 
 
-@njit(cache=True, **FAST)
-def momentum_to_velocity(grid: Any, momentum: int, velocity: int, box: Any, ny: int, least_mass: float) -> None:
-    """Divide the momentum by the mass; both arguments name the first of two columns."""
+@njit(**OPTIONS)
+def add_grid(nodes: Any, others: Any, box: Any, rows: Any, first: int, end: int) -> None:
+    """Add the columns first ... end of another grid; that one is cleared."""
+    middle, last, base = rows
     for i in range(box[0], box[1]):
-        for n in range(i * ny + box[2], i * ny + box[3]):
-            m = grid[n, MASS]
-            per_m = 1.0 / m if m > least_mass else 0.0
-            grid[n, velocity] = per_m * grid[n, momentum]
-            grid[n, velocity + 1] = per_m * grid[n, momentum + 1]
+        for j in range(box[2], box[3]):
+            start = (i * middle + j) * last - base
+            for n in range(start + box[4], start + box[5]):
+                for k in range(first, end):
+                    nodes[n, k] += others[n, k]
+                    others[n, k] = 0.0
 
 
-@njit(cache=True, **FAST)
-def accelerate(grid: Any, box: Any, ny: int, least_mass: float, dt: float, gravity: Any, damping: float, sums: Any) -> None:
-    """Forces to accelerations a, and velocities v to v + dt a.
+@njit(**OPTIONS)
+def to_velocity(nodes: Any, momentum: int, velocity: int, dim: int, box: Any, rows: Any, least_mass: float) -> None:
+    """Divide the momentum by the mass; both arguments name the first of the columns."""
+    middle, last, base = rows
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            start = (i * middle + j) * last - base
+            for n in range(start + box[4], start + box[5]):
+                m = nodes[n, MASS]
+                per_m = 1.0 / m if m > least_mass else 0.0
+                for c in range(dim):
+                    nodes[n, velocity + c] = per_m * nodes[n, momentum + c]
+
+
+@njit(**OPTIONS)
+def accelerate(
+    nodes: Any, dim: int, box: Any, rows: Any, own: Any, least_mass: float, dt: float, gravity: Any, damping: float, sums: Any
+) -> None:
+    """Forces to accelerations a, momenta to velocities v + dt a; sums over the nodes of the rank's own rows.
 
     damping : share of the out-of-balance force that acts against the velocity (local damping, Cundall 1987).
     """
-    work = impulse_x = impulse_y = unbalance = 0.0
-    gx, gy = gravity
+    middle, last, base = rows
     for i in range(box[0], box[1]):
-        for n in range(i * ny + box[2], i * ny + box[3]):
-            m = grid[n, MASS]
-            if m > least_mass:
-                vx, vy = grid[n, VX], grid[n, VY]
-                ax, ay = grid[n, AX] / m + gx, grid[n, AY] / m + gy
-                unbalance += m * (abs(ax) + abs(ay))
-                if damping > 0.0:
-                    dx, dy = damping * abs(ax) * np.sign(vx), damping * abs(ay) * np.sign(vy)
-                    ax -= dx
-                    ay -= dy
-                    impulse_x -= m * dx
-                    impulse_y -= m * dy
-                vx += dt * ax
-                vy += dt * ay
-                grid[n, VX], grid[n, VY], grid[n, AX], grid[n, AY] = vx, vy, ax, ay
-                work += m * (gx * vx + gy * vy)
-                impulse_x += m * gx
-                impulse_y += m * gy
-            else:
-                grid[n, AX] = grid[n, AY] = 0.0
-    sums[WORK] += dt * work
-    sums[IMPULSE_X] += dt * impulse_x
-    sums[IMPULSE_Y] += dt * impulse_y
-    sums[UNBALANCE] = unbalance
+        mine = own[0] <= i < own[1]
+        work, unbalance = 0.0, 0.0
+        for j in range(box[2], box[3]):
+            start = (i * middle + j) * last - base
+            for n in range(start + box[4], start + box[5]):
+                m = nodes[n, MASS]
+                if m > least_mass:
+                    per_m = 1.0 / m
+                    for c in range(dim):
+                        v = per_m * nodes[n, VELOCITY + c]
+                        a = per_m * nodes[n, VELOCITY + dim + c] + gravity[c]
+                        unbalance += m * abs(a)
+                        if damping > 0.0:
+                            drag = damping * abs(a) * np.sign(v)
+                            a -= drag
+                            if mine:
+                                sums[IMPULSE + c] -= dt * m * drag
+                        v += dt * a
+                        nodes[n, VELOCITY + c], nodes[n, VELOCITY + dim + c] = v, a
+                        work += m * gravity[c] * v
+                        if mine:
+                            sums[IMPULSE + c] += dt * m * gravity[c]
+                else:
+                    for c in range(2 * dim):
+                        nodes[n, VELOCITY + c] = 0.0
+        if mine:
+            sums[WORK] += dt * work
+            sums[UNBALANCE] += unbalance
 
 
-@njit(cache=True, **FAST)
-def hold(grid: Any, held: Any, least_mass: float, dt: float, gravity: Any, damping: float, sums: Any) -> None:
-    """Give the held nodes their velocity after ``accelerate``; the reaction is the force that this takes without damping."""
-    nodes, components, velocity, reaction = held
-    for k in range(len(nodes)):
-        n, c = nodes[k], components[k]
-        m = grid[n, MASS]
-        reaction[k] = 0.0
-        if m > least_mass:
-            a, free = grid[n, AX + c], grid[n, VX + c]
-            v = free - dt * a
-            undamped = a / (1.0 - damping * np.sign(a) * np.sign(v))
-            grid[n, VX + c] = velocity[k]
-            grid[n, AX + c] = (velocity[k] - v) / dt
-            reaction[k] = m * ((velocity[k] - v) / dt - undamped)
-            sums[UNBALANCE] -= m * abs(undamped)
-            sums[REACTIONS] += abs(reaction[k])
-            sums[WORK] += dt * (reaction[k] * velocity[k] + m * gravity[c] * (velocity[k] - free))
-            sums[IMPULSE_X + c] += m * (velocity[k] - free)
+@njit(**OPTIONS)
+def merge_small(nodes: Any, dim: int, box: Any, rows: Any, small: float, partner: Any, lent: Any) -> int:
+    """Lend mass, momentum and force of nodes lighter than ``small`` to their heaviest neighbour; returns how many.
+
+    What such a node is given its share of the body does not carry: its acceleration would be without bound, and to cut it off
+    would lose momentum. Joined to a neighbour both move as one (cell aggregation; Badia, Verdugo & Martin 2018 for cut cells).
+    partner (n, 2) : the pairs; lent (n,) : their masses.
+    """
+    middle, last, base = rows
+    count = 0
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            for k in range(box[4], box[5]):
+                n = (i * middle + j) * last + k - base
+                m = nodes[n, MASS]
+                if 0.0 < m < small:
+                    best, most = n, m
+                    for a in range(max(i - 1, box[0]), min(i + 2, box[1])):
+                        for b in range(max(j - 1, box[2]), min(j + 2, box[3])):
+                            for c in range(max(k - 1, box[4]), min(k + 2, box[5])):
+                                other = (a * middle + b) * last + c - base
+                                if nodes[other, MASS] > most:
+                                    best, most = other, nodes[other, MASS]
+                    if most >= small and count < partner.shape[0]:
+                        partner[count, 0], partner[count, 1] = n, best
+                        count += 1
+    for q in range(count):
+        n, best = partner[q, 0], partner[q, 1]
+        lent[q] = nodes[n, MASS]
+        for c in range(1 + 2 * dim):
+            nodes[best, c] += nodes[n, c]
+            nodes[n, c] = 0.0
+    return count
 
 
-@njit(cache=True, **FAST)
-def set_velocity(grid: Any, first: int, held: Any) -> None:
-    nodes, components, velocity, _ = held
-    for k in range(len(nodes)):
-        grid[nodes[k], first + components[k]] = velocity[k]
+@njit(**OPTIONS)
+def part_again(nodes: Any, dim: int, partner: Any, lent: Any, count: int) -> None:
+    """Give the light nodes their mass back, and the velocity and acceleration that they have together with their neighbour."""
+    for q in range(count):
+        n, best = partner[q, 0], partner[q, 1]
+        nodes[n, MASS] = lent[q]
+        nodes[best, MASS] -= lent[q]
+        for c in range(VELOCITY, VELOCITY + 2 * dim):
+            nodes[n, c] = nodes[best, c]
+
+
+@njit(**OPTIONS)
+def clear_columns(nodes: Any, first: int, end: int, box: Any, rows: Any) -> None:
+    middle, last, base = rows
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            start = (i * middle + j) * last - base
+            for n in range(start + box[4], start + box[5]):
+                for c in range(first, end):
+                    nodes[n, c] = 0.0

@@ -1,19 +1,27 @@
-"""The explicit material point method as a model of a scene: steps, probes, balances, checkpoints."""
+"""The explicit material point method as a model of a scene: steps, balances, and what a run asks of it."""
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from geofem import materials
 from geofem.cost import phase
+from geofem.methods.mpm import answers, parallel, passes
 from geofem.methods.mpm import grid as g
-from geofem.methods.mpm.grid import Held, make_grid
-from geofem.methods.mpm.kernels import make_deform, make_transfer
-from geofem.methods.mpm.points import FIELDS, cells, seed
+from geofem.methods.mpm.conditions import Held, Walls, hold, set_velocity, stop
+from geofem.methods.mpm.contact import Contact
+from geofem.methods.mpm.deeds import ALL, FORCES, START, VELOCITY
+from geofem.methods.mpm.passes import Kind, carry_corners
+from geofem.methods.mpm.points import KEPT, Body
+from geofem.methods.mpm.seed import fill_all
+from geofem.methods.mpm.shapes import SHAPES
+from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Probe, Scene
 
@@ -30,62 +38,164 @@ UNREST = 0.5
 crossed cells, local damping can hold it by the noise. What is left of that noise at a true rest is below 0.4."""
 PATIENCE = 400
 """A load step that has not come to rest after so many passages of a wave through the body has failed."""
+PARTNERS = 4096
+"""Nodes of small mass that can be joined to a neighbour in one step."""
 
 
 class ExplicitMpm:
-    """Material points on a background grid; see ``LinearMpm.build`` for the knobs.
+    """Material points on a background grid; see ``Mpm.build`` for the knobs.
 
     A scene without inertia is solved by dynamic relaxation: the load rises smoothly in a time of its own, and damped steps go
-    on until the body is at rest; ``t`` is the last load at which it was.
+    on until the body is at rest; ``t`` is the last load at which it was. With ``passages`` it is pushed on steadily instead.
     """
 
-    def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, flip: float, scheme: str, cfl: float, damping: float,
-                 load_steps: int, tolerance: float, sort_after: float):  # fmt: skip
-        self.scene = scene
+    def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, transfer: str, flip: float, order: int, scheme: str,
+                 cfl: float, damping: float, small_mass: float, cure: bool, split: float, load_steps: int, passages: float | None,
+                 tolerance: float, sort_after: float, threads: int):  # fmt: skip
+        self.scene, self.shape = scene, SHAPES[shape]
+        self.comm = MPI.COMM_WORLD
         self.t = self._now = 0.0
         self._target, self._time, self._calm = 0.0, 0.0, -1.0  # of the load that is being raised: calm >= 0
         self.work = {"steps": 0, "newton": 0, "linear": 0, "point_steps": 0, "remeshes": 0}
-        self.flip, self.cfl, self.damping = flip, cfl, damping
-        self.load_steps, self.tolerance, self.sort_after = load_steps, tolerance, sort_after
+        self.flip, self.order, self.scheme, self.cfl, self.damping = flip, order, scheme, cfl, damping
+        self.load_steps, self.passages, self.tolerance, self.sort_after = load_steps, passages, tolerance, sort_after
+        self.h, self.threads = scene.length / n, threads
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
-        self.h = scene.length / n
-        self.grid, coordinates = make_grid(scene, self.h)
-        self.held = Held(scene, coordinates)
+        axial, dim = scene.plane == "axisymmetric", scene.gdim
+        loaded = bool(scene.rigids) or any(load.kind == "body" for load in scene.loads)
+        self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, cure)
+        seeds = fill_all(scene, self.h / ppc, axial)
+        bounds = g.shape_bounds(scene) or [s.bounds for s in seeds]
+        self.grid = g.make_grid(scene, self.h, self.shape, bounds)
         laws = [materials.get(region.material.law) for region in scene.regions]
-        parameters = [law.parameters(region.material) for law, region in zip(laws, scene.regions, strict=True)]
-        speeds = [
-            law.wave_speed(par, region.material.density)
-            for law, par, region in zip(laws, parameters, scene.regions, strict=True)
-        ]
-        self.wave_speed = max(speeds)
-        self.points = points = seed(scene, self.h, ppc, [law.initial_state(1, 4)[0] for law in laws])
-        points.sort(self.grid.lattice)
-        size = points.X.max(0) - points.X.min(0)
-        self.passage = float(np.hypot(*size)) / self.wave_speed
-        self.least_mass = LEAST_MASS * float(points.mass.mean())
-
-        small = scene.strain == "small"
-        self._to_grid, self._to_points = make_transfer(shape, scheme, small)
-        self._deform = []
-        for law, par, (a, b) in zip(laws, parameters, pairwise(points.first), strict=True):
-            arrays = points.at[a:b], points.F[a:b], points.state[a:b, : law.state_size(4)], points.volume[a:b], points.tau[a:b]
-            self._deform.append((make_deform(shape, scheme, law.point, small), arrays, par, a))
+        self.bodies = []
+        for region, law, filled in zip(scene.regions, laws, seeds, strict=True):
+            par = law.parameters(region.material, self._weakening(0.0))
+            self.bodies.append(
+                Body(filled, law, par, region.material.density, self.kind, self.shape.domain, self.h, bool(scene.rigids))
+            )
+        self._started(seeds)
+        self.wave_speed = max(self._speeds)
+        low, high = g.bodies(scene, bounds)
+        self.passage = float(np.linalg.norm(high - low)) / self.wave_speed
+        mass = sum(float(body.own("mass").sum()) for body in self.bodies)
+        self.point_mass = mass / sum(body.n for body in self.bodies)
+        self.least_mass, self.small_mass = LEAST_MASS * self.point_mass, small_mass * self.point_mass
+        self._partner, self._lent = np.zeros((PARTNERS, 2), np.int64), np.zeros(PARTNERS)
+        self.balance = answers.Balance(self.bodies, mass)
+        self.splitter = Splitter(self.kind, self.shape, split)
+        self.watch = Watch(scene, self.shape)
         self._gravity = [load for load in scene.loads if load.kind == "gravity"]
-        self._body = [load for load in scene.loads if load.kind == "body"]
-        self._body_force = np.zeros((len(points.id) if self._body else 0, 2))
-        self._around: dict[tuple[float, ...], tuple[Array, Array]] = {}
-
-        self._sums, self._marks = np.zeros(g.SUMS), np.zeros(g.MARKS, np.int64)
-        self._sums[g.SPEED2] = np.max(np.sum(points.v**2, axis=1))
-        self._energy_at_start = self._kinetic = float(0.5 * points.mass @ np.sum(points.v**2, axis=1))
-        self._momentum_at_start = points.mass @ points.v
-        self._mass_at_start = float(points.mass.sum())
-        self._impulse = np.zeros(2)
-        self._internal = self._external = 0.0
-        self._largest_kinetic, self._largest_work = self._kinetic, 0.0
+        self._body_loads = [load for load in scene.loads if load.kind == "body"]
+        self._contacts = [Contact(rigid) for rigid in scene.rigids]
         self._crossed = 0
-        self._compile()
-        self._box()
+        self._fastest = self._largest_speed()
+        self._unbalance = self._reactions = 0.0
+        self._places = answers.Places(scene, seeds, self.comm)
+        self._divide()
+        self._compile_passes()
+
+    def _started(self, seeds: list[Any]) -> None:
+        """Initial velocities of the points, and with apic their gradients (by differences)."""
+        velocity = self.scene.initial_velocity
+        for body in self.bodies:
+            if velocity is None:
+                continue
+            X = body.own("X")
+            body.own("v")[:] = np.broadcast_to(np.asarray(velocity(X.T), float).T, X.shape)
+            if self.kind.transfer == "apic":
+                d, e = X.shape[1], 1e-5 * self.h
+                for c in range(d):
+                    step = np.zeros(d)
+                    step[c] = e
+                    after, before = (np.broadcast_to(np.asarray(velocity((X + s * step).T), float).T, X.shape) for s in (1, -1))
+                    body.own("C").reshape(-1, d, d)[:, :, c] = (after - before) / (2 * e)
+
+    @property
+    def _speeds(self) -> list[float]:
+        return [body.law.wave_speed(body.par, region.material.density) for body, region in zip(self.bodies, self.scene.regions)]
+
+    def _weakening(self, t: float) -> float:
+        return self.scene.weakening(t) if self.scene.weakening is not None else 1.0
+
+    def _largest_speed(self) -> float:
+        """The largest squared speed of a point on any rank."""
+        largest = max((float(np.max(np.sum(b.own("v") ** 2, axis=1), initial=0.0)) for b in self.bodies), default=0.0)
+        return self.comm.allreduce(largest, op=MPI.MAX)
+
+    # --- ranks --------------------------------------------------------------------------------------------------------
+    def _divide(self) -> None:
+        """Cut the grid into slabs, keep the points of this rank's slab and copies around it, and lay out its window of the grid."""
+        rows = [self._rows_of(body) for body in self.bodies]
+        for body, row in zip(self.bodies, rows):
+            body.sort(self._cells(body))
+        rows = [self._rows_of(body) for body in self.bodies]
+        self.slabs = parallel.make_slabs(self.comm, np.concatenate(rows), self.grid.shape[0] - 1, self._halo())
+        if self.comm.size > 1:
+            for body, row in zip(self.bodies, rows):
+                body.remove(self.slabs.owner(row) != self.comm.rank)
+            self.grid.first, last = self.slabs.window(self.grid.shape[0])
+            low, high = self.slabs.own
+            self.grid.own = low, high if self.comm.rank < self.comm.size - 1 else high + 1
+        else:
+            last = self.grid.shape[0]
+        self._lay_out(last)
+        self._exchange()
+
+    def _lay_out(self, last: int) -> None:
+        """The nodes' arrays of the window that ends before the row ``last``, and the conditions on them."""
+        per_row = int(np.prod(self.grid.shape[1:]))
+        count = (last - self.grid.first) * per_row
+        columns = g.COLUMNS[self.grid.dim]
+        self.grid.nodes = np.zeros((count, columns))
+        self._nodes = [self.grid.nodes, *(np.zeros((count, columns)) for _ in range(self.threads - 1))]
+        self._cell_sums = [np.zeros((count if self.kind.cure else 0, 3)) for _ in range(self.threads)]
+        self._sums, self._marks = np.zeros((self.threads, g.SUMS)), np.zeros((self.threads, g.MARKS), np.int64)
+        bounds = g.shape_bounds(self.scene) or []
+        coordinates = g.on_edges(self.grid.coordinates(), bounds, self.h)
+        row = self.grid.first + np.arange(count) // per_row
+        mine = (row >= self.grid.own[0]) & (row < self.grid.own[1])
+        self.held, self.walls = Held(self.scene, coordinates, mine), Walls(self.scene, coordinates, mine)
+        self._box = (0, 0, 0, 0, 0, 0)
+
+    def _halo(self) -> int:
+        """Cells around a slab whose points can bear on its points within a step.
+
+        A point hears from nodes within its reach, and these from points within theirs; each stage of a step widens this once.
+        """
+        stages = 1 + (self.scheme != "usl") + (self.order - 1 if self.kind.transfer == "xpic" else 0)
+        reach = 1 + math.ceil(self._extent() if self.shape.spread else self.shape.reach)
+        return stages * (2 * reach + 1) + (2 if self.kind.cure else 0) + (2 if self.small_mass > 0 else 0) + 1
+
+    def _extent(self) -> float:
+        """Half the largest extent of a domain (cells) on any rank."""
+        own = max((self.splitter.extent(body, self.h) for body in self.bodies), default=0.0)
+        return self.comm.allreduce(own, op=MPI.MAX)
+
+    def _rows_of(self, body: Body) -> Array:
+        """The cell along x of each own point."""
+        at = body.own("X" if self.kind.small else "x")
+        return ((at[:, 0] - self.grid.low[0]) * (1.0 / self.h)).astype(np.int64)
+
+    def _cells(self, body: Body) -> Array:
+        """The number of the cell of each own point: that of its low node on the whole lattice."""
+        at = body.own("X" if self.kind.small else "x")
+        number = np.zeros(body.n, np.int64)
+        for c, count in enumerate(self.grid.shape):
+            number = number * count + ((at[:, c] - self.grid.low[c]) * (1.0 / self.h)).astype(np.int64)
+        return number
+
+    def _exchange(self) -> None:
+        if self.comm.size > 1:
+            with phase("exchange"):
+                if self.shape.spread and (halo := self._halo()) > self.slabs.halo:
+                    self.slabs = parallel.Slabs(self.comm, self.slabs.bounds, halo)
+                    self.grid.first, last = self.slabs.window(self.grid.shape[0])
+                    self._lay_out(last)
+                for body in self.bodies:
+                    parallel.exchange(body, self._rows_of(body), self.slabs)
+        self._cuts = [np.linspace(0, body.N, self.threads + 1).astype(int) for body in self.bodies]
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def dt(self) -> float:
@@ -96,17 +206,30 @@ class ExplicitMpm:
         """One explicit step; in a scene without inertia many of them, of which only the last one moves ``t``.
 
         Raises ``Breakdown``: ``tangle`` (det F <= 0 at a point), ``volume`` (a point left the grid), ``cfl`` (velocities
-        beyond ten wave speeds), ``energy`` (twice the energy that was ever put in), ``newton`` (no rest under a load).
+        beyond ten wave speeds), ``energy`` (twice the energy that was ever put in), ``newton`` (no rest under a load),
+        ``fracture`` (a body that is to stay whole fell apart).
         """
         if self.scene.dynamic:
             dt = min(dt, self._courant())
             self._advance(dt, self.t + dt)
             self.t = self._now
+        elif self.passages is not None:
+            self._push(dt)
         else:
             self._relax(dt)
 
     def _courant(self) -> float:
-        return self.cfl * self.h / (self.wave_speed + math.sqrt(self._sums[g.SPEED2]))
+        return self.cfl * self.h / (self.wave_speed + math.sqrt(self._fastest))
+
+    def _push(self, dt: float) -> None:
+        """Raise the load by dt at a steady rate: the whole of it takes ``passages`` passages of a wave through the body."""
+        assert self.passages is not None
+        rate = self.scene.t_end / (self.passages * self.passage)
+        target = self.t + dt
+        while self._now < target - 1e-12 * self.scene.t_end:
+            h = self._courant()
+            self._advance(h, min(target, self._now + h * rate))
+        self.t = target
 
     def _relax(self, dt: float) -> None:
         """Raise the load by dt smoothly, and wait until the body has been at rest for the passage of a wave.
@@ -121,182 +244,366 @@ class ExplicitMpm:
             self._time += h
             s = min(1.0, self._time / (RAMP * self.passage))
             self._advance(h, self.t + (self._target - self.t) * s * s * (3.0 - 2.0 * s) if s < 1.0 else self._target)
-            balanced = self._sums[g.UNBALANCE] <= UNREST * self._sums[g.REACTIONS]
-            quiet = s == 1.0 and balanced and self._kinetic <= self.tolerance * abs(self._external)
+            balanced = self._unbalance <= UNREST * self._reactions
+            quiet = s == 1.0 and balanced and self.balance.kinetic <= self.tolerance * abs(self.balance.external)
             self._calm = self._calm + h if quiet else 0.0
             if self._calm >= self.passage:
                 self.t, self._calm = self._target, -1.0
                 return
             if self._time > PATIENCE * self.passage:
                 raise Breakdown(
-                    "newton", f"no rest under the load of t = {self._target:.4g}: kinetic energy {self._kinetic:.3g} J"
+                    "newton", f"no rest under the load of t = {self._target:.4g}: kinetic energy {self.balance.kinetic:.3g} J"
                 )
+
+    def _each(self, work: Callable[[int], None]) -> None:
+        """Do the work of every thread: work(thread)."""
+        if self._pool is None:
+            work(0)
+        else:
+            list(self._pool.map(work, range(self.threads)))
+
+    def _over_points(self, work: Callable[..., None]) -> None:
+        """work(thread, body, its number, first point, end) for the share of every body's points that each thread has."""
+
+        def share(thread: int) -> None:
+            for k, (body, cut) in enumerate(zip(self.bodies, self._cuts)):
+                if cut[thread] < cut[thread + 1]:
+                    work(thread, body, k, int(cut[thread]), int(cut[thread + 1]))
+
+        self._each(share)
+
+    def _over_nodes(self, work: Callable[..., None]) -> None:
+        """work(thread, box) for the share of the reached nodes that each thread has."""
+        i0, i1, *rest = self._box
+
+        def share(thread: int) -> None:
+            cut = [i0 + (i1 - i0) * k // self.threads for k in (thread, thread + 1)]
+            work(thread, (*cut, *rest))
+
+        self._each(share)
 
     def _advance(self, dt: float, t1: float) -> None:
         """One explicit step of dt (s) that ends at the scene's time t1."""
-        q, lattice, nodes, held = self.points, self.grid.lattice, self.grid.nodes, self.held.arrays
-        sums, marks = self._sums, self._marks
-        gx = gy = 0.0
-        for load in self._gravity:
-            factor = self.scene.amplitude(load, self._now)
-            gx += factor * load.value[0]
-            gy += factor * load.value[1]
-        self._body_force[:] = 0.0
-        for load in self._body:
-            self._body_force += self.scene.amplitude(load, self._now) * np.asarray(load.value(q.X.T, self._now)).T
-        self.held.follow(self._now, t1, dt)
-        settings = (self._body_force, lattice, nodes, held, self.least_mass, dt, (gx, gy), self.damping, self.flip, sums, marks)
-        self._to_grid(q.at, q.x, q.v, q.mass, q.volume, q.tau, *settings)
-        for deform, arrays, par, first in self._deform:
-            deform(*arrays, par, lattice, nodes, dt, sums, marks, first)
-        self._to_points(q.at, q.x, q.v, q.mass, *settings)
+        gravity = self._loads(dt, t1)
+        self._sums[:] = 0.0
+        self._marks[:] = 0
+        self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
+        rows = self.grid.rows
+        self._over_nodes(lambda thread, box: [g.clear(nodes, box, rows) for nodes in self._nodes[:1]])
+        self._scatter(START if self.scheme == "usf" else ALL)
+        if not self._marks[:, g.FAULT].any():
+            if self.scheme == "usf":
+                self._to_velocity(VELOCITY, 1 + 2 * self.grid.dim)
+                set_velocity(self.grid.nodes, 1 + 2 * self.grid.dim, self.held.arrays, self.walls.arrays, self.grid.dim)
+                self._strain(dt)
+                self._scatter(FORCES)
+            self._move(dt, gravity)
         self._now = t1
-        self._account()
+        self._account(dt)
 
-    def _account(self) -> None:
-        """Carry the balances on, look for faults, and sort the points when they have strayed."""
-        sums, marks, q = self._sums, self._marks, self.points
+    def _loads(self, dt: float, t1: float) -> tuple[float, float, float]:
+        """Supports, rigid bodies, strength and forces of the points for this step; returns the acceleration of gravity (m/s2)."""
+        scene, now = self.scene, self._now
+        gravity = np.zeros(3)
+        for load in self._gravity:
+            gravity[: scene.gdim] += scene.amplitude(load, now) * np.array(load.value)
+        self.held.follow(now, t1, dt)
+        if scene.weakening is not None:
+            for body, region in zip(self.bodies, scene.regions):
+                body.par[:] = body.law.parameters(region.material, scene.weakening(now))
+        self._impulse = np.zeros(3)
+        if self.kind.loaded:
+            for contact in self._contacts:
+                contact.follow(now, t1, dt)
+                contact.force[:] = 0.0
+            for body, region, speed in zip(self.bodies, scene.regions, self._speeds):
+                force = body.force[: body.N]
+                force[:] = 0.0
+                for load in self._body_loads:
+                    value = np.asarray(load.value(body.arrays["X"][: body.N].T, now)).T
+                    force += scene.amplitude(load, now) * body.arrays["mass"][: body.N, None] * value
+                for contact in self._contacts:
+                    contact.force += contact.touch(body, region.material.density * speed**2 / self.h, self.h, dt)
+                self._impulse[: scene.gdim] += dt * force[: body.n].sum(axis=0)
+        return tuple(gravity.tolist())
+
+    def _scatter(self, what: str) -> None:
+        """Points to the grid."""
+        kind, lattice = self.kind, self.grid.lattice
+        if kind.cure and what != START:
+            self._sum_cells(passes.make_pressures(kind), (0, 1))
+        scatter = passes.make_scatter(kind, what)
+        self._over_points(
+            lambda t, body, k, lo, hi: scatter(body.cloud, lo, hi, self._nodes[t], lattice, self._cell_sums[0], self._marks[t])
+        )
+        if what != FORCES:
+            self._marks[0, g.BOX : g.BOX + 6 : 2] = self._marks[:, g.BOX : g.BOX + 6 : 2].min(axis=0)
+            self._marks[0, g.BOX + 1 : g.BOX + 6 : 2] = self._marks[:, g.BOX + 1 : g.BOX + 6 : 2].max(axis=0)
+            self._box = self.grid.box(self._marks[0]) if any(body.N for body in self.bodies) else (0,) * 6
+        self._join(0, 1 + 2 * self.grid.dim)
+
+    def _join(self, first: int, end: int) -> None:
+        """Add what the other threads put into their own grids."""
+        if self.threads > 1:
+            rows = self.grid.rows
+
+            def add(thread: int, box: tuple[int, ...]) -> None:
+                for others in self._nodes[1:]:
+                    g.add_grid(self.grid.nodes, others, box, rows, first, end)
+
+            self._over_nodes(add)
+
+    def _sum_cells(self, sums: Callable[..., None], columns: tuple[int, ...], *more: Any) -> None:
+        """Cell sums of the volumetric cure, of all threads."""
+        lattice = self.grid.lattice
+        for cells in self._cell_sums:
+            cells[:, columns] = 0.0
+        self._over_points(lambda t, body, k, lo, hi: sums(body.cloud, lo, hi, *more, lattice, self._cell_sums[t]))
+        for cells in self._cell_sums[1:]:
+            self._cell_sums[0][:, columns] += cells[:, columns]
+
+    def _to_velocity(self, momentum: int, velocity: int) -> None:
+        dim, rows = self.grid.dim, self.grid.rows
+        self._over_nodes(lambda t, box: g.to_velocity(self.grid.nodes, momentum, velocity, dim, box, rows, self.least_mass))
+
+    def _move(self, dt: float, gravity: tuple[float, float, float]) -> None:
+        """The momentum balance on the nodes, and what the points make of it."""
+        grid, kind, dim, rows = self.grid, self.kind, self.grid.dim, self.grid.rows
+        nodes, held, walls, lattice = grid.nodes, self.held.arrays, self.walls.arrays, grid.lattice
+        if kind.transfer == "xpic":
+            self._without_noise()
+        joined = 0
+        if self.small_mass > 0.0:
+            joined = g.merge_small(nodes, dim, self._box, rows, self.small_mass, self._partner, self._lent)
+        self._over_nodes(
+            lambda t, box: g.accelerate(
+                nodes, dim, box, rows, grid.own, self.least_mass, dt, gravity, self.damping, self._sums[t]
+            )
+        )
+        g.part_again(nodes, dim, self._partner, self._lent, joined)
+        hold(nodes, dim, held, self.least_mass, dt, gravity, self.damping, self._sums[0])
+        stop(nodes, dim, walls, self.least_mass, dt, self._sums[0])
+
+        fused = self.scheme == "usl" and not kind.cure
+        W = 1 + 2 * dim
+        if self.scheme == "musl" and kind.transfer == "xpic":
+            self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
+        advance = [passes.make_advance(kind, body.law.point if fused else None) for body in self.bodies]
+        self._over_points(
+            lambda t, body, k, lo, hi: advance[k](
+                body.cloud, lo, hi, body.n, nodes, self._nodes[t], lattice, body.par, dt, self.flip, self.h,
+                self._sums[t], self._marks[t],
+            )
+        )  # fmt: skip
+        if self.scheme == "musl":
+            self._join(W, W + dim)
+            self._to_velocity(W, W)
+            set_velocity(nodes, W, held, walls, dim)
+        if not fused and self.scheme != "usf":
+            self._strain(dt)
+        if self.shape.domain == "corners":
+            self._over_points(lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt))
+
+    def _strain(self, dt: float) -> None:
+        """Strains and stresses from the velocities on the grid."""
+        kind, lattice, nodes = self.kind, self.grid.lattice, self.grid.nodes
+        if kind.cure:
+            if self.scheme == "usf":
+                self._sum_cells(passes.make_pressures(kind), (0, 1))
+            dilate = passes.make_dilate(kind)
+            self._sum_cells(lambda q, lo, hi, lat, cells: dilate(q, lo, hi, nodes, lat, cells, dt), (2,))
+        strain = [passes.make_strain(kind, body.law.point) for body in self.bodies]
+        self._over_points(
+            lambda t, body, k, lo, hi: strain[k](
+                body.cloud, lo, hi, body.n, nodes, lattice, self._cell_sums[0], body.par, dt, self._sums[t], self._marks[t]
+            )
+        )
+
+    def _without_noise(self) -> None:
+        """XPIC: the points' velocities without what the grid does not see, (I - (I - P)^m) v with P = S S^+ (Hammerquist & Nairn
+        2017, eq. 19); they are kept in ``C``."""
+        dim, lattice, nodes = self.grid.dim, self.grid.lattice, self.grid.nodes
+        W, rows = 1 + 2 * dim, self.grid.rows
+        hear, tell = passes.make_hear(self.kind, W), passes.make_tell(self.kind)
+        self._to_velocity(VELOCITY, W)
+        for body in self.bodies:
+            body.arrays["C"][: body.N] = 0.0
+        heard = [np.empty((body.N, dim)) for body in self.bodies]
+        for r in range(1, self.order + 1):
+            set_velocity(nodes, W, self.held.arrays, self.walls.arrays, dim)
+            self._over_points(lambda t, body, k, lo, hi: hear(body.cloud, lo, hi, nodes, lattice, heard[k]))
+            share = (-1) ** (r + 1) * math.comb(self.order, r)
+            for body, out in zip(self.bodies, heard):
+                body.arrays["C"][: body.N] += share * out
+            if r < self.order:
+                self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
+                self._over_points(
+                    lambda t, body, k, lo, hi: tell(body.cloud._replace(v=heard[k]), lo, hi, self._nodes[t], lattice)
+                )
+                self._join(W, W + dim)
+                self._to_velocity(W, W)
+
+    # --- after a step -------------------------------------------------------------------------------------------------
+    def _account(self, dt: float) -> None:
+        """Carry the balances on, look for faults, hand points over, and sort them when they have strayed. Collective."""
+        sums = self._sums.sum(axis=0)
+        sums[g.SPEED2] = self._sums[:, g.SPEED2].max()
+        sums[g.IMPULSE : g.IMPULSE + 3] += self._impulse
+        fault = self._fault()
+        if self.comm.size > 1:
+            with phase("exchange"):
+                told = self.comm.allgather((sums, fault))
+            sums = np.sum([s for s, _ in told], axis=0)
+            sums[g.SPEED2] = max(s[g.SPEED2] for s, _ in told)
+            fault = next((f for _, f in told if f), None)
         self.work["steps"] += 1
-        self.work["point_steps"] += len(q.id)
-        self._kinetic = float(sums[g.KINETIC])
-        self._internal += float(sums[g.STRAIN_WORK])
-        self._external += float(sums[g.WORK])
-        self._impulse[0] += sums[g.IMPULSE_X]
-        self._impulse[1] += sums[g.IMPULSE_Y]
-        self._largest_kinetic = max(self._largest_kinetic, self._kinetic)
-        self._largest_work = max(self._largest_work, abs(self._external))
-        if marks[g.FAULT]:
-            p = marks[g.POINT]
-            place = f"the material point of ({q.X[p, 0]:.4g}, {q.X[p, 1]:.4g}) m, now at ({q.x[p, 0]:.4g}, {q.x[p, 1]:.4g}) m,"
-            if marks[g.FAULT] == g.ESCAPED:
-                raise Breakdown("volume", f"{place} left the background grid at t = {self._now:.4g}")
-            raise Breakdown("tangle", f"{place} is turned inside out (det F <= 0) at t = {self._now:.4g}")
-        if not sums[g.SPEED2] <= (10.0 * self.wave_speed) ** 2:  # nan fails too
+        self.work["point_steps"] += self._total
+        self._fastest, self._unbalance, self._reactions = sums[g.SPEED2], sums[g.UNBALANCE], sums[g.REACTIONS]
+        self.balance.add(sums)
+        if fault:
+            raise Breakdown(*fault)
+        if not self._fastest <= (10.0 * self.wave_speed) ** 2:  # nan fails too
             raise Breakdown("cfl", f"a material point is faster than ten wave speeds at t = {self._now:.4g}")
-        growth = self._kinetic + self._internal - self._external - self._energy_at_start
-        if growth > self._energy_at_start + self._largest_work:
+        if self.balance.exploded:
             raise Breakdown("energy", f"more than twice the energy put in is there at t = {self._now:.4g}")
-        self._crossed += int(marks[g.CROSSED])
-        if self._crossed > self.sort_after * len(q.id) >= self.sort_after * WORTH_SORTING:
+        for body in self.bodies:
+            body.settle()
+        moved = math.sqrt(self._fastest) * dt / self.h
+        changed = self.splitter.check(self.bodies, self.h, moved, self.comm)
+        self._crossed += int(sums[g.CROSSED])
+        if changed or self._crossed > self.sort_after * self._total >= self.sort_after * WORTH_SORTING:
             with phase("sort"):
-                q.sort(self.grid.lattice)
+                for body in self.bodies:
+                    body.N = body.n
+                    body.sort(self._cells(body))
+                    body.make_room(body.N)
             self._crossed = 0
+        if changed or self.comm.size > 1:
+            self._exchange()
+        self.watch.look(self, moved)
 
-    def _compile(self) -> None:
-        """Run the kernels over no points, so that their compilation belongs to the set-up."""
-        q, none = self.points, slice(0, 0)
-        lattice, nodes, held = self.grid.lattice, self.grid.nodes, self.held.arrays
-        settings = (self._body_force[none], lattice, nodes, held, self.least_mass, 1.0, (0.0, 0.0), self.damping, self.flip)
-        sums, marks = self._sums.copy(), self._marks.copy()
-        self._to_grid(q.at[none], q.x[none], q.v[none], q.mass[none], q.volume[none], q.tau[none], *settings, sums, marks)
-        for deform, arrays, par, first in self._deform:
-            deform(*(array[none] for array in arrays), par, lattice, nodes, 1.0, sums, marks, first)
-        self._to_points(q.at[none], q.x[none], q.v[none], q.mass[none], *settings, sums, marks)
+    @property
+    def _total(self) -> int:
+        """Points on all ranks; splitting is the only thing that changes it."""
+        return self.splitter.total or self._count()
 
-    def _box(self) -> None:
-        """The box of cells that hold points."""
-        cell = cells(self.points.at, self.grid.lattice)
-        i, j = np.divmod(cell, self.grid.shape[1])
-        self._marks[[g.I0, g.I1, g.J0, g.J1]] = i.min(), i.max(), j.min(), j.max()
+    def _count(self) -> int:
+        self.splitter.total = self.comm.allreduce(sum(body.n for body in self.bodies))
+        return self.splitter.total
+
+    def _fault(self) -> tuple[str, str] | None:
+        """Cause and words of a fault in this rank's own points."""
+        for marks in self._marks:
+            if marks[g.FAULT]:
+                body = next(b for b in self.bodies if b.N > marks[g.POINT])
+                X, x = (body.arrays[name][marks[g.POINT]] for name in ("X", "x"))
+                place = f"the material point of ({', '.join(f'{v:.4g}' for v in X)}) m, now at ({', '.join(f'{v:.4g}' for v in x)}) m,"
+                if marks[g.FAULT] == g.ESCAPED:
+                    return "volume", f"{place} left the background grid at t = {self._now:.4g}"
+                return "tangle", f"{place} is turned inside out (det F <= 0) at t = {self._now:.4g}"
+        return None
+
+    def _compile_passes(self) -> None:
+        """Run the passes over no points, so that their compilation belongs to the set-up."""
+        cuts, box = self._cuts, self._box
+        saved = {name: getattr(self.balance, name) for name in ("kinetic", "internal", "external")}
+        self._cuts = [np.zeros(self.threads + 1, int) for _ in self.bodies]
+        self._impulse = np.zeros(3)
+        empty = [(body, body.N) for body in self.bodies]
+        passes_of = (START, FORCES) if self.scheme == "usf" else (ALL,)
+        for body, _ in empty:
+            for what in passes_of:
+                passes.make_scatter(self.kind, what)(body.cloud, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], self._marks[0])
+        self._box = (0,) * 6
+        fused = self.scheme == "usl" and not self.kind.cure
+        for body in self.bodies:
+            passes.make_advance(self.kind, body.law.point if fused else None)(
+                body.cloud, 0, 0, 0, self.grid.nodes, self.grid.nodes, self.grid.lattice, body.par, 1.0, self.flip, self.h,
+                self._sums[0], self._marks[0],
+            )  # fmt: skip
+            if not fused:
+                passes.make_strain(self.kind, body.law.point)(
+                    body.cloud, 0, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], body.par, 1.0,
+                    self._sums[0], self._marks[0],
+                )  # fmt: skip
+        self._cuts, self._box = cuts, box
+        for name, value in saved.items():
+            setattr(self.balance, name, value)
 
     # --- what the model tells -----------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
-        """The value of a probe now; fields at a material point come from the plane through its nearest points."""
-        q, c = self.points, probe.component
+        """The value of a probe now. Collective."""
         if probe.quantity == "reaction":
             assert probe.of is not None
-            return self.held.reaction(probe.of, c)
-        if probe.quantity == "mean_velocity":
-            return float(q.mass @ q.v[:, c]) / self._mass_at_start
-        if probe.quantity == "displacement_error":
-            assert probe.exact is not None
-            error = (q.x - q.X).T - probe.exact(q.X.T, self.t)
-            return math.sqrt(float(q.mass @ np.sum(error**2, axis=0)) / self._mass_at_start)
-        assert probe.at is not None
-        if probe.at not in self._around:
-            self._around[probe.at] = q.around(probe.at)
-        ids, weights = self._around[probe.at]
-        near = q.place[ids]
-        if probe.quantity == "displacement":
-            return float(weights @ (q.x[near, c] - q.X[near, c]))
-        if probe.quantity == "velocity":
-            return float(weights @ q.v[near, c])
-        return float(weights @ self._stress(near)[:, c]) if c < 4 else 0.0
-
-    def _stress(self, points: Any = slice(None)) -> Array:
-        """Cauchy stress (n, 4) of points: xx, yy, zz, xy (Pa)."""
-        F, tau = self.points.F[points], self.points.tau[points]
-        if self.scene.strain == "small":
-            return tau
-        return tau / ((F[:, 0] * F[:, 3] - F[:, 1] * F[:, 2]) * F[:, 4])[:, None]
+            own = self.held.reaction(probe.of, probe.component) + self.walls.reaction(probe.of, probe.component)
+            own += sum(float(c.force[probe.component]) for c in self._contacts if c.rigid.name == probe.of)
+            return self.comm.allreduce(own)
+        return self._places.probe(probe, self.bodies, self.t)
 
     def energy(self) -> dict[str, float]:
         """Kinetic energy of the points, work of the stresses, and work of loads and supports since t = 0 (J per metre)."""
-        return {"kinetic": self._kinetic, "internal": self._internal, "external": self._external}
+        return {"kinetic": self.balance.kinetic, "internal": self.balance.internal, "external": self.balance.external}
 
     def checks(self) -> dict[str, float | None]:
-        """Drift of the mass, and the momentum that no force accounts for against the largest there has been."""
-        momentum = self.points.mass @ self.points.v - self._momentum_at_start - self._impulse
-        scale = math.sqrt(2.0 * self._mass_at_start * self._largest_kinetic) or 1.0
-        return {
-            "mass": abs(float(self.points.mass.sum()) / self._mass_at_start - 1.0),
-            "momentum": float(np.hypot(*momentum)) / scale,
-            "volume": None,
-        }
+        """Drift of the mass, the momentum that no force accounts for against the largest there has been, and drift of the volume."""
+        return self.balance.checks(self.bodies, self.comm)
 
     def functions(self) -> list[Any]:
         return []
 
     def snapshot(self) -> dict[str, Any]:
-        """Points where they are now, in the order in which they were seeded."""
-        q = self.points
-        order = q.place
-        return {
-            "points": np.column_stack([q.x[order], np.zeros(len(order))]),
-            "cells": np.arange(len(order))[:, None],
-            "cell": "vertex",
-            "displacement": (q.x - q.X)[order],
-            "velocity": q.v[order],
-            "stress": self._stress()[order],
-        }
-
-    def _active(self) -> tuple[int, int]:
-        """Nodes that the points reach, and cells that hold points."""
-        cell = np.unique(cells(self.points.at, self.grid.lattice))
-        ny = self.grid.shape[1]
-        return len(np.unique([cell, cell + 1, cell + ny, cell + ny + 1])), len(cell)
+        """Points where they are now, in the order of their numbers, region after region; on rank 0."""
+        return answers.snapshot(self.bodies, self.kind, self.h, self._contacts, self.comm)
 
     def size(self) -> dict[str, int]:
         nodes, occupied = self._active()
-        return {"dofs": 2 * nodes, "cells": occupied, "points": len(self.points.id)}
+        return {"dofs": self.grid.dim * nodes, "cells": occupied, "points": self._total}
 
     def savings(self) -> dict[str, float]:
         """``active_grid``: nodes that the points reach, against all nodes of the grid."""
-        return {"active_grid": self._active()[0] / len(self.grid.nodes)}
+        return {"active_grid": self._active()[0] / int(np.prod(self.grid.shape))}
+
+    def _active(self) -> tuple[int, int]:
+        """Nodes that the points reach, and cells that hold points, on all ranks."""
+        per_row = int(np.prod(self.grid.shape[1:]))
+        a, b = (row * per_row - self.grid.first * per_row for row in self.grid.own)
+        reached = int(np.count_nonzero(self.grid.nodes[max(a, 0) : b, g.MASS]))
+        occupied = len(np.unique(np.concatenate([self._cells(body) for body in self.bodies])))
+        return self.comm.allreduce(reached), self.comm.allreduce(occupied)
 
     # --- checkpoints --------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
-        clock = [self.t, self._now, self._target, self._time, self._calm]
-        balance = [self._kinetic, self._internal, self._external, self._largest_kinetic, self._largest_work]
-        return {name: getattr(self.points, name).copy() for name in FIELDS} | {
-            "clock": np.array(clock),
-            "balance": np.array(balance),
-            "impulse": self._impulse.copy(),
-            "sums": self._sums.copy(),
-            "crossed": np.array(self._crossed),
+        """All that a checkpoint must hold, on rank 0. Collective."""
+        out = {}
+        for k, body in enumerate(self.bodies):
+            fields = parallel.gathered(self.comm, body)
+            if fields is not None:
+                out |= {f"{name}_{k}": values for name, values in fields.items()}
+        return out | {
+            "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
+            "balance": self.balance.state(),
+            "last": np.array([self._fastest, self._unbalance, self._reactions, self._crossed]),
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
 
     def restore(self, state: dict[str, Array]) -> None:
-        for name in FIELDS:
-            getattr(self.points, name)[:] = state[name]
-        self.points.place[self.points.id] = np.arange(len(self.points.id))
+        """Take up what ``state`` gave, on any number of ranks. Collective."""
+        for k, body in enumerate(self.bodies):
+            fields = {name: state[f"{name}_{k}"] for name in KEPT}
+            body.n = body.N = 0
+            body.add(fields, own=True)
+            if self.comm.size > 1:
+                body.remove(self.slabs.owner(self._rows_of(body)) != self.comm.rank)
+            order = np.argsort(body.own("key"), kind="stable")
+            for name in KEPT:
+                body.own(name)[:] = body.own(name)[order]
+            body.make_room(body.N)
+            body.settle()
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
-        self._kinetic, self._internal, self._external, self._largest_kinetic, self._largest_work = state["balance"].tolist()
-        self._impulse[:] = state["impulse"]
-        self._sums[:] = state["sums"]
-        self._crossed = int(state["crossed"])
+        self.balance.restore(state["balance"])
+        self._fastest, self._unbalance, self._reactions, crossed = state["last"].tolist()
+        self._crossed = int(crossed)
         self.work["steps"], self.work["point_steps"] = state["work"].tolist()
-        self._marks[:] = 0
+        self.splitter.total = 0
         self.grid.nodes[:] = 0.0
-        self._box()
+        self._exchange()

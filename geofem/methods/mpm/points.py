@@ -1,171 +1,161 @@
-"""The material points: arrays of a scene's bodies, seeded from their shapes and kept in the order of the grid's cells."""
+"""The material points of a body as arrays, in the order of the grid's cells, and those of other ranks that it needs beside them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from geofem.mistake import Mistake
-from geofem.scene import Array, Box, Polygon, Ring, Scene, Shape
+from geofem.materials import Kernels
+from geofem.methods.mpm.passes import Cloud
+from geofem.methods.mpm.seed import Seeds
+from geofem.mistake import Breakdown
+from geofem.scene import Array
 
-FIELDS = ("X", "x", "at", "v", "F", "tau", "state", "mass", "volume", "id")
+KEPT = ("X", "x", "v", "C", "F", "tau", "state", "mass", "volume", "domain", "grip", "id", "key")
+"""What a point takes along to another rank and into a checkpoint."""
 NEIGHBOURS = 9
+SHIFT = 1 << 31
+"""Keys are cell * SHIFT + number, both below it: an order that does not depend on where a point is stored."""
 
 
-@dataclass
-class Points:
-    """N material points; those of a region lie together, from ``first[r]`` to ``first[r + 1]``.
+class Body:
+    """One region's points on this rank: ``n`` of its own, then copies of others' points near its cells.
 
-    X, x, at, v : (N, 2) reference position, position, place on the grid (m), velocity (m/s).
-    F : (N, 5) deformation gradient xx, xy, yx, yy, zz. tau : (N, 4) Kirchhoff stress xx, yy, zz, xy (Pa).
-    state : (N, s) history of the material laws. mass (kg/m), volume (m2): (N,), in the reference configuration.
-    id : (N,) the number that a point was born with; ``place[id]`` is where it is now.
-    volume_error : relative error of the points' volume against that of the shapes.
+    All arrays of ``Cloud``, and: grip (N, d) friction force held by a rigid body (N); id (N,) number that a point was born with;
+    key (N,) its place in the common order of all ranks. Arrays are longer than the points they hold.
     """
 
-    X: Array
-    x: Array
-    at: Array
-    v: Array
-    F: Array
-    tau: Array
-    state: Array
-    mass: Array
-    volume: Array
-    id: Array
-    place: Array
-    first: list[int]
-    volume_error: float
+    def __init__(self, seeds: Seeds, law: Kernels, par: Array, density: float, kind: Any, domain: str, h: float, gripped: bool):
+        self.law, self.par, self.kind = law, par, kind
+        self.exact = seeds.exact
+        N, d = seeds.points.shape
+        m, g = (4, 5) if d == 2 else (6, 9)
+        if domain == "corners":
+            assert seeds.corners is not None
+            place = seeds.corners.reshape(N, -1)
+        elif domain == "edges":
+            place = seeds.edges.reshape(N, -1) / h
+        else:
+            place = np.abs(seeds.edges).sum(axis=1) / h
+        affine = {"apic": d * d, "xpic": d}.get(kind.transfer, 0)
+        identity = [1.0, 0.0, 0.0, 1.0, 1.0] if d == 2 else [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        self.arrays: dict[str, Array] = {
+            "X": seeds.points.copy(),
+            "x": seeds.points.copy(),
+            "v": np.zeros((N, d)),
+            "C": np.zeros((N, affine)),
+            "F": np.tile(identity, (N, 1)),
+            "tau": np.zeros((N, m)),
+            "state": np.ascontiguousarray(law.initial_state(N, m), float),
+            "mass": seeds.volumes * density,
+            "volume": seeds.volumes.copy(),
+            "domain": np.ascontiguousarray(place, float),
+            "grip": np.zeros((N, d if gripped else 0)),
+            "id": np.arange(N),
+            "key": np.arange(N),
+        }
+        self.born = N
+        self.n = self.N = N
+        self._order = np.empty(0, np.int64)
+        self._widen(N)
+        self._cloud: Cloud | None = None
 
-    def sort(self, lattice: tuple[float, float, float, int, int]) -> None:
-        """Put the points of every region in the order of their cells."""
-        for a, b in pairwise(self.first):
-            order = cell_order(self.at[a:b], lattice)
-            for name in FIELDS:
-                array = getattr(self, name)[a:b]
-                permute(array.reshape(b - a, -1), order)
-        self.place[self.id] = np.arange(len(self.id))
+    # --- arrays -------------------------------------------------------------------------------------------------------
+    def _widen(self, size: int) -> None:
+        """Room for ``size`` points, and the arrays that only live within a step."""
+        d, kind = self.arrays["X"].shape[1], self.kind
+        self.capacity = size
+        for name, array in self.arrays.items():
+            new = np.zeros((size, *array.shape[1:]), array.dtype)
+            new[: min(len(array), size)] = array[:size]
+            self.arrays[name] = new
+        self.force = np.zeros((size if kind.loaded else 0, d))
+        self.increment = np.zeros((size if kind.cure else 0, d * d + (1 if kind.axial else 0)))
+        apart = not kind.small and (kind.scheme == "musl" or kind.cure)
+        self._at = self.arrays["x"].copy() if apart else None
 
-    def around(self, at: tuple[float, ...]) -> tuple[Array, Array]:
-        """Numbers (k,) of the points nearest to a reference position and weights (k,) that extrapolate a field there.
+    def make_room(self, size: int) -> None:
+        if size > self.capacity:
+            self._widen(max(size, self.capacity + self.capacity // 4))
+        self._cloud = None
 
-        The weights belong to the plane that fits the nearest points of the region best (least squares), so that a linear
-        field is met exactly; points as far off as the last one count too.
-        """
-        distance = np.linalg.norm(self.X - np.array(at), axis=1)
-        r = int(np.searchsorted(self.first, np.argmin(distance), side="right")) - 1
-        distance[: self.first[r]] = distance[self.first[r + 1] :] = np.inf
-        reach = np.sort(distance)[min(NEIGHBOURS, self.first[r + 1] - self.first[r]) - 1]
-        near = np.flatnonzero(distance <= reach * (1 + 1e-9))
-        plane = np.column_stack([np.ones(len(near)), self.X[near] - np.array(at)])
-        return self.id[near], np.linalg.pinv(plane, rcond=1e-9)[0]
+    @property
+    def cloud(self) -> Cloud:
+        """The points as the passes see them, copies included."""
+        if self._cloud is None:
+            a, N = self.arrays, self.N
+            at = a["X"] if self.kind.small else a["x"] if self._at is None else self._at
+            self._cloud = Cloud(
+                X=a["X"][:N], x=a["x"][:N], at=at[:N], v=a["v"][:N], C=a["C"][:N], F=a["F"][:N], L=self.increment[:N],
+                tau=a["tau"][:N], state=a["state"][:N], mass=a["mass"][:N], volume=a["volume"][:N], force=self.force[:N],
+                domain=a["domain"][:N], order=self._order,
+            )  # fmt: skip
+        return self._cloud
 
+    def own(self, name: str) -> Array:
+        """An array of this rank's own points."""
+        return self.arrays[name][: self.n]
 
-def seed(scene: Scene, h: float, ppc: int, state: list[Array]) -> Points:
-    """Material points at rest or with the scene's initial velocity, about ``ppc`` a cell in each direction.
+    def settle(self) -> None:
+        """The points' new places are those on the grid of the next step."""
+        if self._at is not None:
+            self._at[: self.N] = self.arrays["x"][: self.N]
 
-    state : for each region the initial state (s,) of a point of its material.
-    """
-    parts = [fill(region.shape, h / ppc) for region in scene.regions]
-    X = np.concatenate([x for x, _ in parts])
-    volume = np.concatenate([v for _, v in parts])
-    count = [len(v) for _, v in parts]
-    N = len(X)
-    history = np.zeros((N, max(len(s) for s in state)))
-    first = np.concatenate([[0], np.cumsum(count)]).tolist()
-    for (a, b), s in zip(pairwise(first), state, strict=True):
-        history[a:b, : len(s)] = s
-    v = np.zeros((N, 2)) if scene.initial_velocity is None else np.asarray(scene.initial_velocity(X.T), float).T
-    exact = sum(area(region.shape) for region in scene.regions)
-    return Points(
-        X=X,
-        x=X.copy(),
-        at=X.copy(),
-        v=np.array(np.broadcast_to(v, (N, 2)), order="C"),
-        F=np.tile([1.0, 0.0, 0.0, 1.0, 1.0], (N, 1)),
-        tau=np.zeros((N, 4)),
-        state=history,
-        mass=volume * np.repeat([region.material.density for region in scene.regions], count),
-        volume=volume,
-        id=np.arange(N),
-        place=np.arange(N),
-        first=first,
-        volume_error=float(volume.sum() / exact - 1.0),
-    )
+    def reorder(self) -> None:
+        """Let the points, copies included, add to the grid in the order of their keys."""
+        self._order = np.argsort(self.arrays["key"][: self.N], kind="stable")
+        self._cloud = None
 
+    # --- the common order -----------------------------------------------------------------------------------------------
+    def sort(self, cell: Array) -> None:
+        """Put the own points, in the cells ``cell`` (n,), in the order of their cells, and those of a cell in that of their numbers."""
+        if self.n and max(int(cell.max()), int(self.arrays["id"][: self.n].max())) >= SHIFT:
+            raise Breakdown("volume", "more cells or points than the order of points can tell apart (2**31)")
+        key = self.arrays["key"]
+        key[: self.n] = cell * SHIFT + self.arrays["id"][: self.n]
+        order = np.argsort(key[: self.n], kind="stable")
+        for name in KEPT:
+            permute(self.arrays[name][: self.n].reshape(self.n, -1), order)
+        self.settle()
 
-def fill(shape: Shape, spacing: float) -> tuple[Array, Array]:
-    """Points (n, 2) and their volumes (n,) that fill a shape at about a spacing (m).
+    def remove(self, which: Array) -> None:
+        """Take own points out, ``which`` (n,) bool; copies are dropped."""
+        stay = ~which
+        for name in KEPT:
+            kept = self.arrays[name][: self.n][stay]
+            self.arrays[name][: len(kept)] = kept
+        self.n = self.N = int(stay.sum())
+        self._cloud = None
 
-    A box is divided evenly, and a ring into layers and these into sectors, so that the volumes add up to the shape's own; of
-    a polygon those cells of a lattice are taken whose centre lies inside.
-    """
-    if isinstance(shape, Ring):
-        layers = max(1, round((shape.outer - shape.inner) / spacing))
-        places, volumes = [], []
-        for a, b in pairwise(np.linspace(shape.inner, shape.outer, layers + 1)):
-            sectors = max(3, round(np.pi * (a + b) / spacing))
-            angle = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
-            r = 2 / 3 * (b**3 - a**3) / (b**2 - a**2)  # the middle of the sector's mass
-            places.append(np.array(shape.centre) + r * np.column_stack([np.cos(angle), np.sin(angle)]))
-            volumes.append(np.full(sectors, np.pi * (b**2 - a**2) / sectors))
-        return np.concatenate(places), np.concatenate(volumes)
-    assert isinstance(shape, (Box, Polygon))
-    low, high = np.array(shape.bounds)
-    count = np.maximum(1, np.round((high - low) / spacing)).astype(int)
-    size = (high - low) / count
-    if isinstance(shape, Polygon):
-        size = np.full(2, spacing)
-        count = np.ceil((high - low) / spacing - 1e-9).astype(int)
-    axes = [low[c] + size[c] * (np.arange(count[c]) + 0.5) for c in range(2)]
-    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    if isinstance(shape, Polygon):
-        x = x[shape.contains(x.T)]
-        if not len(x):
-            raise Mistake(
-                f"Polygon at {shape.points[0]}: thinner than the spacing of the points, {spacing:g} m; raise n or ppc"
-            )
-    return x, np.full(len(x), size.prod())
+    def add(self, fields: dict[str, Array], own: bool) -> None:
+        """Append points, as own ones (no copies may be there) or as copies."""
+        count = len(fields["id"])
+        self.make_room(self.N + count)
+        for name in KEPT:
+            self.arrays[name][self.N : self.N + count] = fields[name]
+        self.N += count
+        if own:
+            self.n = self.N
+        self._cloud = None
 
+    def pick(self, which: Array) -> dict[str, Array]:
+        """Fields of some points."""
+        return {name: self.arrays[name][which] for name in KEPT}
 
-def area(shape: Shape) -> float:
-    """The area of a shape (m2)."""
-    if isinstance(shape, Ring):
-        return float(np.pi * (shape.outer**2 - shape.inner**2))
-    if isinstance(shape, Polygon):
-        x, y = np.array(shape.points).T
-        return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-    low, high = np.array(shape.bounds)  # type: ignore[union-attr]
-    return float(np.prod(high - low))
+    # --- what can be asked ------------------------------------------------------------------------------------------------
+    def jacobian(self) -> Array:
+        """det F (n,) of the own points."""
+        F = self.own("F")
+        if F.shape[1] == 5:
+            return (F[:, 0] * F[:, 3] - F[:, 1] * F[:, 2]) * F[:, 4]
+        return np.linalg.det(F.reshape(-1, 3, 3))
 
-
-@njit(cache=True)
-def cells(at: Any, lattice: Any) -> Any:
-    """The cell (N,) of every point: the number of its low node."""
-    x0, y0, per_h, _, ny = lattice
-    cell = np.empty(len(at), np.int64)
-    for p in range(len(at)):
-        cell[p] = int((at[p, 0] - x0) * per_h) * ny + int((at[p, 1] - y0) * per_h)
-    return cell
-
-
-@njit(cache=True)
-def cell_order(at: Any, lattice: Any) -> Any:
-    """The order (N,) of the points by cell; points of one cell keep theirs (counting sort)."""
-    cell = cells(at, lattice)
-    start = np.zeros(lattice[3] * lattice[4] + 1, np.int64)
-    for c in cell:
-        start[c + 1] += 1
-    start = np.cumsum(start)
-    order = np.empty(len(cell), np.int64)
-    for p in range(len(cell)):
-        order[start[cell[p]]] = p
-        start[cell[p]] += 1
-    return order
+    def stress(self) -> Array:
+        """Cauchy stress (n, m) of the own points (Pa)."""
+        tau = self.own("tau")
+        return tau if self.kind.small else tau / self.jacobian()[:, None]
 
 
 @njit(cache=True)
@@ -175,3 +165,16 @@ def permute(rows: Any, order: Any) -> None:
     for p in range(len(order)):
         for k in range(rows.shape[1]):
             rows[p, k] = old[order[p], k]
+
+
+def weights_around(X: Array, at: tuple[float, ...]) -> tuple[Array, Array]:
+    """The points (k,) of X (n, d) nearest to a reference position and weights (k,) that extrapolate a field there.
+
+    The weights belong to the plane that fits the nearest points best (least squares), so that a linear field is met exactly; points
+    as far off as the last one count too.
+    """
+    distance = np.linalg.norm(X - np.array(at), axis=1)
+    reach = np.sort(distance)[min(NEIGHBOURS * (X.shape[1] - 1), len(X)) - 1]
+    near = np.flatnonzero(distance <= reach * (1 + 1e-9))
+    plane = np.column_stack([np.ones(len(near)), X[near] - np.array(at)])
+    return near, np.linalg.pinv(plane, rcond=1e-9)[0]

@@ -1,0 +1,190 @@
+"""What a run asks of material points: balances, probes and the picture of the bodies."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem.methods.mpm import grid as g
+from geofem.methods.mpm.contact import Contact
+from geofem.methods.mpm.passes import Kind
+from geofem.methods.mpm.points import Body, weights_around
+from geofem.methods.mpm.seed import Seeds
+from geofem.methods.mpm.shapes import SHAPES
+from geofem.scene import Array, Probe, Scene
+
+
+class Balance:
+    """Energies (J) and momentum (N s) of all ranks' points, carried along step by step."""
+
+    def __init__(self, bodies: list[Body], mass: float):
+        self.mass = mass
+        v = np.concatenate([body.own("v") for body in bodies])
+        m = np.concatenate([body.own("mass") for body in bodies])
+        self.kinetic = self.start = float(0.5 * m @ np.sum(v**2, axis=1))
+        self.momentum = np.zeros(3)
+        self.momentum[: v.shape[1]] = m @ v
+        self.internal = self.external = 0.0
+        self.largest_kinetic, self.largest_work = self.kinetic, 0.0
+        self.impulse = np.zeros(3)
+        self.volume = sum(float(body.own("volume").sum()) for body in bodies)
+
+    def add(self, sums: Array) -> None:
+        """Carry on by the sums of one step."""
+        self.kinetic = float(sums[g.KINETIC])
+        self.internal += float(sums[g.STRAIN_WORK])
+        self.external += float(sums[g.WORK])
+        self.impulse += sums[g.IMPULSE : g.IMPULSE + 3]
+        self.largest_kinetic = max(self.largest_kinetic, self.kinetic)
+        self.largest_work = max(self.largest_work, abs(self.external))
+
+    @property
+    def exploded(self) -> bool:
+        """More than twice the energy is there that was ever put in; nan is no explosion."""
+        return self.kinetic + self.internal - self.external - self.start > self.start + self.largest_work
+
+    def checks(self, bodies: list[Body], comm: MPI.Intracomm) -> dict[str, float | None]:
+        """See ``Model.checks``. Collective."""
+        mass, volume, momentum = 0.0, 0.0, np.zeros(3)
+        for body in bodies:
+            m, v = body.own("mass"), body.own("v")
+            mass += float(m.sum())
+            volume += float(body.own("volume") @ body.jacobian())
+            momentum[: v.shape[1]] += m @ v
+        mass, volume, momentum = comm.allreduce(mass), comm.allreduce(volume), comm.allreduce(momentum)
+        scale = math.sqrt(2.0 * self.mass * self.largest_kinetic) or 1.0
+        return {
+            "mass": abs(mass / self.mass - 1.0),
+            "momentum": float(np.linalg.norm(momentum - self.momentum - self.impulse)) / scale,
+            "volume": volume / self.volume - 1.0,
+        }
+
+    def state(self) -> Array:
+        head = [self.kinetic, self.internal, self.external, self.largest_kinetic, self.largest_work]
+        return np.array([*head, *self.impulse])
+
+    def restore(self, state: Array) -> None:
+        self.kinetic, self.internal, self.external, self.largest_kinetic, self.largest_work = state[:5].tolist()
+        self.impulse[:] = state[5:]
+
+
+class Places:
+    """Values at material points that a scene's probes ask for, on any number of ranks."""
+
+    def __init__(self, scene: Scene, seeds: list[Seeds], comm: MPI.Intracomm):
+        self.comm, self.small = comm, scene.strain == "small"
+        self.at: dict[tuple[float, ...], tuple[int, Array, Array]] = {}
+        for probe in scene.probes:
+            if probe.at is not None and probe.at not in self.at:
+                nearest = [float(np.min(np.linalg.norm(s.points - np.array(probe.at), axis=1))) for s in seeds]
+                k = int(np.argmin(nearest))
+                self.at[probe.at] = (k, *weights_around(seeds[k].points, probe.at))
+
+    def probe(self, probe: Probe, bodies: list[Body], t: float) -> float:
+        """The value of a probe, but for reactions. Collective."""
+        c = probe.component
+        if probe.quantity == "mean_velocity":
+            sums = sum(np.array([float(b.own("mass") @ b.own("v")[:, c]), float(b.own("mass").sum())]) for b in bodies)
+            momentum, mass = self.comm.allreduce(sums)
+            return momentum / mass
+        if probe.quantity == "displacement_error":
+            assert probe.exact is not None
+            sums = np.zeros(2)
+            for body in bodies:
+                u = (body.own("x") - body.own("X")).T
+                sums += body.own("mass") @ np.sum((u - probe.exact(body.own("X").T, t)) ** 2, axis=0), body.own("mass").sum()
+            square, mass = self.comm.allreduce(sums)
+            return math.sqrt(square / mass)
+        if probe.quantity == "quantile":
+            x = self._all([body.own("x")[:, c] for body in bodies])
+            return quantile(x, self._all([body.own("mass") for body in bodies]), probe.share)
+        assert probe.at is not None
+        k, ids, weights = self.at[probe.at]
+        if probe.quantity == "stress" and c >= bodies[k].arrays["tau"].shape[1]:
+            return 0.0
+        return float(weights @ self._values(bodies[k], ids, probe.quantity, c))
+
+    def _values(self, body: Body, ids: Array, quantity: str, c: int) -> Array:
+        """A field at the points of some numbers."""
+        found = np.flatnonzero(np.isin(body.own("id"), ids))
+        if quantity == "displacement":
+            values = body.own("x")[found, c] - body.own("X")[found, c]
+        elif quantity == "velocity":
+            values = body.own("v")[found, c]
+        else:
+            values = body.stress()[found, c]
+        out = np.zeros(len(ids))
+        order = np.argsort(ids)
+        out[order[np.searchsorted(ids, body.own("id")[found], sorter=order)]] = values
+        return self.comm.allreduce(out) if self.comm.size > 1 else out
+
+    def _all(self, parts: list[Array]) -> Array:
+        """Values of all bodies on all ranks."""
+        own = np.concatenate(parts)
+        return np.concatenate(self.comm.allgather(own)) if self.comm.size > 1 else own
+
+
+def quantile(x: Array, mass: Array, share: float) -> float:
+    """The value of x (N,) below which ``share`` of the mass lies, interpolated between points."""
+    if share >= 1.0:
+        return float(x.max())
+    # only the top needs to be in order where the share is close to one
+    top = np.arange(len(x))
+    beyond = (1.0 - share) * mass.sum()
+    count = int(min(len(x), 2 + math.ceil(4.0 * (1.0 - share) * len(x))))
+    if count < len(x):
+        candidates = np.argpartition(x, len(x) - count)[len(x) - count :]
+        if mass[candidates].sum() > 1.5 * beyond:
+            top = candidates
+    order = top[np.argsort(-x[top], kind="stable")]
+    below = np.cumsum(mass[order]) - 0.5 * mass[order]
+    return float(np.interp(beyond, below, x[order]))
+
+
+def domains(body: Body, kind: Kind, h: float) -> dict[str, Array]:
+    """Half edges (n, d d) or corners (n, 8) of the present domains of own points, for pictures."""
+    shape, d = SHAPES[kind.shape], body.arrays["X"].shape[1]
+    place, F = body.own("domain"), body.own("F")
+    if shape.domain == "corners":
+        return {"corners": place}
+    full = F.reshape(-1, 3, 3) if d == 3 else F[:, :4].reshape(-1, 2, 2)
+    if shape.domain == "edges":
+        return {"edges": h * np.einsum("nij,naj->nai", full, place.reshape(-1, d, d)).reshape(len(place), -1)}
+    half = h * place * (np.linalg.norm(full, axis=1) if shape.spread else 1.0)
+    return {"edges": (half[:, :, None] * np.eye(d)).reshape(len(place), -1)}
+
+
+def snapshot(bodies: list[Body], kind: Kind, h: float, contacts: list[Contact], comm: MPI.Intracomm) -> dict[str, Any]:
+    """See ``ExplicitMpm.snapshot``. Collective."""
+    parts = []
+    for k, body in enumerate(bodies):
+        x, X = body.own("x"), body.own("X")
+        fields = {
+            "id": body.own("id"), "x": x, "displacement": x - X, "velocity": body.own("v"), "stress": body.stress(),
+            "mass": body.own("mass"), "region": np.full(body.n, k), **domains(body, kind, h),
+        }  # fmt: skip
+        parts.append({name: np.array(values) for name, values in fields.items()})
+    told = comm.gather(parts) if comm.size > 1 else [parts]
+    if told is None:
+        return {}
+    out: dict[str, Any] = {}
+    for name in parts[0]:
+        out[name] = []
+    for k in range(len(bodies)):
+        ids = np.concatenate([rank[k]["id"] for rank in told])
+        order = np.argsort(ids, kind="stable")
+        for name in out:
+            out[name].append(np.concatenate([rank[k][name] for rank in told])[order])
+    out = {name: np.concatenate(values) for name, values in out.items()}
+    del out["id"]
+    x = out.pop("x")
+    points = np.zeros((len(x), 3))
+    points[:, : x.shape[1]] = x
+    out |= {"points": points, "cells": np.arange(len(x))[:, None], "cell": "vertex"}
+    if contacts:
+        gap = np.full((1, 2), np.nan)
+        out["rigid"] = np.concatenate([part for contact in contacts for part in (contact.points, contact.points[:1], gap)][:-1])
+    return out

@@ -1,0 +1,112 @@
+"""Rigid bodies that touch the material points: a penalty on the depth to which the points' domains reach into them.
+
+The domain, not the node, tells where the body ends, so that a face in any direction is met to second order in the size of the
+domains, and no gap of a cell stays open. The stiffness is that of the material over one cell: what the points sink in is the
+elastic shortening of a cell under the contact pressure.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from geofem.methods.mpm.deeds import inlined
+from geofem.methods.mpm.grid import OPTIONS
+from geofem.methods.mpm.points import Body
+from geofem.methods.mpm.shapes import SHAPES
+from geofem.scene import Array, Rigid
+
+
+class Contact:
+    """One rigid body: where it is, and the force (N) that it exerted on the bodies in the last step."""
+
+    def __init__(self, rigid: Rigid):
+        self.rigid = rigid
+        p = np.array(rigid.shape.points)
+        side = np.roll(p, -1, axis=0) - p
+        length = np.linalg.norm(side, axis=1)
+        self.normals = np.stack([side[:, 1], -side[:, 0]], axis=1) / length[:, None]  # out of the rigid body
+        self.corners = p
+        self.friction = min(rigid.friction, 1e300)
+        self.velocity = np.zeros(2)
+        self.force = np.zeros(2)
+        self.follow(0.0, 0.0, 1.0)
+
+    def follow(self, t0: float, t1: float, dt: float) -> None:
+        """Where the body stands at the scene's time t0, and the velocity that takes it to its place at t1 in dt (s)."""
+        a, b = (np.array(self.rigid.motion(t)) if self.rigid.motion else np.zeros(2) for t in (t0, t1))
+        self.velocity = (b - a) / dt
+        self.points = self.corners + a
+        self.faces = np.column_stack([self.normals, self.points])
+        self.box = np.concatenate([self.points.min(axis=0), self.points.max(axis=0)])
+
+    def touch(self, body: Body, stiffness: float, h: float, dt: float) -> Array:
+        """Add the contact forces to those of the body's points; returns their sum (2,) over the rank's own points."""
+        q = body.cloud
+        return make_touch(SHAPES[body.kind.shape].domain, body.kind.small)(
+            q, body.arrays["grip"], body.n, self.faces, self.box, self.velocity, self.friction, stiffness, h, dt
+        )
+
+
+@cache
+def make_touch(kind: str, small: bool) -> Any:
+    """The pass over the points, for domains given by half lengths, edges or corners."""
+
+    @inlined
+    def reach(q, p, nx, ny, h):  # type: ignore[no-untyped-def]
+        """How far the domain of point p reaches from it along -n."""
+        d = q.domain[p]
+        if kind == "half":
+            return h * (abs(nx) * d[0] + abs(ny) * d[1])
+        if kind == "edges":
+            F = q.F[p]
+            return h * (
+                abs(nx * (F[0] * d[0] + F[1] * d[1]) + ny * (F[2] * d[0] + F[3] * d[1]))
+                + abs(nx * (F[0] * d[2] + F[1] * d[3]) + ny * (F[2] * d[2] + F[3] * d[3]))
+            )
+        x, y = q.x[p, 0], q.x[p, 1]
+        a, b = nx * (x - d[0]) + ny * (y - d[1]), nx * (x - d[2]) + ny * (y - d[3])
+        c, e = nx * (x - d[4]) + ny * (y - d[5]), nx * (x - d[6]) + ny * (y - d[7])
+        return max(a, b, c, e)
+
+    @njit(**OPTIONS)
+    def touch(q, grip, own, faces, box, velocity, friction, stiffness, h, dt):  # type: ignore[no-untyped-def]
+        total = np.zeros(2)
+        margin = 2.0 * h
+        for p in range(len(q.mass)):
+            x, y = q.x[p, 0], q.x[p, 1]
+            if x < box[0] - margin or x > box[2] + margin or y < box[1] - margin or y > box[3] + margin:
+                grip[p, 0] = grip[p, 1] = 0.0
+                continue
+            best, face, extent = -np.inf, 0, 0.0
+            for k in range(len(faces)):
+                nx, ny = faces[k, 0], faces[k, 1]
+                e = reach(q, p, nx, ny, h)
+                s = nx * (x - faces[k, 2]) + ny * (y - faces[k, 3]) - e
+                if s > best:
+                    best, face, extent = s, k, e
+            if best >= 0.0:
+                grip[p, 0] = grip[p, 1] = 0.0
+                continue
+            nx, ny = faces[face, 0], faces[face, 1]
+            F = q.F[p]
+            J = 1.0 if small else (F[0] * F[3] - F[1] * F[2]) * F[4]
+            area = 0.5 * q.volume[p] * J / extent
+            push = -stiffness * area * best
+            slip = -ny * (q.v[p, 0] - velocity[0]) + nx * (q.v[p, 1] - velocity[1])
+            hold = -ny * grip[p, 0] + nx * grip[p, 1] - stiffness * area * dt * slip
+            most = friction * push
+            hold = min(max(hold, -most), most)
+            grip[p, 0], grip[p, 1] = -ny * hold, nx * hold
+            fx, fy = push * nx + grip[p, 0], push * ny + grip[p, 1]
+            q.force[p, 0] += fx
+            q.force[p, 1] += fy
+            if p < own:
+                total[0] += fx
+                total[1] += fy
+        return total
+
+    return touch
