@@ -270,7 +270,7 @@ class Reference:
     """What a quantity ought to be, and how we know.
 
     kind : ``exact``, ``overkill``, ``bracket`` (limit analysis), ``experiment``, ``cross-method``.
-    value : a number, or None for a bracket, which has ``lower`` and ``upper``.
+    value : a number, or None for a bracket or a band, which has ``lower`` and ``upper``, and for what nobody knows yet.
     """
 
     kind: str
@@ -278,6 +278,11 @@ class Reference:
     value: float | None = None
     lower: float | None = None
     upper: float | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a number or a band to compare with."""
+        return self.value is not None or (self.lower is not None and self.upper is not None)
 
     def error(self, quantity: float) -> float:
         """Relative error of a number; for a bracket or a band, the relative distance to it (zero inside)."""
