@@ -361,7 +361,7 @@ class Scene:
             raise Mistake(f"scene {self.name}: strain is small or finite, not {self.strain!r}")
         if not self.regions:
             raise Mistake(f"scene {self.name}: has no region; give it at least one body")
-        names = [one.name for one in (*self.supports, *self.walls, *self.rigids)]
+        names = [*(s.name for s in self.supports), *(w.name for w in self.walls), *(r.name for r in self.rigids)]
         for probe in self.probes:
             if probe.quantity == "reaction" and probe.of not in names:
                 raise Mistake(f"scene {self.name}: probe {probe.name!r} measures the reaction of unknown support {probe.of!r}")

@@ -12,9 +12,10 @@ Measured. Error `displacement`: the root mean square of |u - exact| over the bod
 
 Reference. Exact; the supports hold where nothing moves, so that nothing but the method makes an error.
 
-What must fail. Points that carry a domain of fixed size, or none (linear, GIMP, B-splines), stop integrating well once
-they move by whole cells: from about A n = 3 on, the error grows as the cells shrink. Domains that follow the
-deformation (CPDI) stay at order 2. Finite elements converge at their own order at any A below 1 / 2 pi.
+What must fail. Points that carry no domain, or one of fixed size, stop integrating well once they move by whole cells,
+and the error then grows as the cells shrink: with linear shape functions as soon as points cross cells (A n of 0.5 or
+so), with GIMP and quadratic B-splines from about A n = 3 on. Domains that follow the deformation (CPDI) stay at order 2.
+Finite elements converge at their own order at any A below 1 / 2 pi.
 
 Length. The side of the square, 1 m.
 """

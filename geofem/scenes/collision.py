@@ -12,10 +12,10 @@ relative.
 
 Reference. Exact for the energy (none is lost) and the time of contact (geometry); none for the restitution.
 
-What must fail. Material points with a single velocity field feel each other one cell before they touch: the contact
-comes early by the size of a cell over the closing speed, and the discs rebound across a gap. PIC loses most of the
-energy before they meet nothing at all. A mesh that follows each disc needs a contact search: without one the discs
-pass through each other.
+What must fail. Material points with a single velocity field feel each other one or two cells before they touch: the
+contact comes early by the size of those cells over the closing speed, and the discs rebound across a gap. PIC loses the
+energy of the vibration and part of that of the rebound. A mesh that follows each disc needs a contact search: without
+one the discs pass through each other.
 
 Length. The side of the square that holds them, 1 m.
 """
