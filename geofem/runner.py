@@ -311,7 +311,7 @@ def finish(scene: Scene, model: Model, result: Result) -> None:
                 result.qoi[measure.name] = float(value)
             if measure.error is not None:
                 result.error[measure.name] = float(measure.error(history))
-            elif value is not None and measure.reference is not None:
+            elif value is not None and measure.reference is not None and measure.reference.known:
                 result.error[measure.name] = measure.reference.error(float(value))
         except (ValueError, IndexError) as error:
             # a run that broke down may have no second period to measure

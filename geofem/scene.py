@@ -270,7 +270,7 @@ class Reference:
     """What a quantity ought to be, and how we know.
 
     kind : ``exact``, ``overkill``, ``bracket`` (limit analysis), ``experiment``, ``cross-method``.
-    value : a number, or None for a bracket, which has ``lower`` and ``upper``.
+    value : a number, or None for a bracket or a band, which has ``lower`` and ``upper``, and for what nobody knows yet.
     """
 
     kind: str
@@ -278,6 +278,11 @@ class Reference:
     value: float | None = None
     lower: float | None = None
     upper: float | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a number or a band to compare with."""
+        return self.value is not None or (self.lower is not None and self.upper is not None)
 
     def error(self, quantity: float) -> float:
         """Relative error of a number; for a bracket or a band, the relative distance to it (zero inside)."""
@@ -356,7 +361,7 @@ class Scene:
             raise Mistake(f"scene {self.name}: strain is small or finite, not {self.strain!r}")
         if not self.regions:
             raise Mistake(f"scene {self.name}: has no region; give it at least one body")
-        names = [one.name for one in (*self.supports, *self.walls, *self.rigids)]
+        names = [*(s.name for s in self.supports), *(w.name for w in self.walls), *(r.name for r in self.rigids)]
         for probe in self.probes:
             if probe.quantity == "reaction" and probe.of not in names:
                 raise Mistake(f"scene {self.name}: probe {probe.name!r} measures the reaction of unknown support {probe.of!r}")

@@ -238,6 +238,8 @@ def test_order_is_claimed_against_exact_references_only() -> None:
     band = {"uy": {"value": None, "lower": 23.0, "upper": 24.0, "kind": "bracket", "source": "made up"}}
     figure = drawn([row | {"reference": band} for row in line])
     assert "order" not in words_of(figure) and figure.axes[0].get_yscale() == "linear"
+    unknown = {"uy": {"value": None, "kind": "cross-method", "source": "none known"}}
+    assert drawn([row | {"reference": unknown} for row in line]).axes[0].get_yscale() == "linear"
 
 
 def test_lines_differ_in_colour_and_marker() -> None:

@@ -185,9 +185,9 @@ def draw_panel(axes: Axes, group: Sequence[Row], measure: str, budget: str, refe
         axes.axhspan(
             reference["lower"], reference["upper"], color="#009E73", alpha=0.25, linewidth=0, label=f"{kind} reference"
         )
-    elif banded:
+    elif banded and reference.get("value") is not None:
         axes.axhline(reference["value"], color="#009E73", alpha=0.5, linewidth=5, label=f"{kind} reference")
-    else:
+    elif not banded:
         draw_front(axes, group, measure, budget)
     axes.margins(0.09)
     if budget == "dofs" and kind in ORDERED:
