@@ -31,7 +31,7 @@ def deviator(a: float, b: float, c: float) -> Floats:
 
 
 @helper
-def von_mises_returned(a: float, b: float, c: float, par: Array) -> Stresses:
+def von_mises_returned(a: float, b: float, c: float, par: Array, dt: float) -> Stresses:
     """Radial return (Wilkins 1964)."""
     da, db, dc, q, mean = deviator(a, b, c)
     if not q > par[2] * (1.0 + ROUNDING):
@@ -41,7 +41,7 @@ def von_mises_returned(a: float, b: float, c: float, par: Array) -> Stresses:
 
 
 @helper
-def von_mises_tangent(region: int, a: float, b: float, c: float, par: Array) -> Floats:
+def von_mises_tangent(region: int, a: float, b: float, c: float, par: Array, dt: float) -> Floats:
     """K 1 x 1 + 2 G r (I - 1 x 1 / 3 - s x s / 2 J2) with r = k / sqrt(J2), the last term when plastic only."""
     lam, G = par[0], par[1]
     ratio, na, nb, nc = 1.0, 0.0, 0.0, 0.0
@@ -64,7 +64,7 @@ def von_mises_parameters(material: Material, weakening: float = 1.0) -> Array:
 
 # --- Drucker-Prager: sqrt(J2) + A mean <= k, flow by B; par = (lambda, G, A, B, k, K, 1 / (G + A B K)) --------------------
 @helper
-def drucker_prager_returned(a: float, b: float, c: float, par: Array) -> Stresses:
+def drucker_prager_returned(a: float, b: float, c: float, par: Array, dt: float) -> Stresses:
     """Region 1: the cone; region 2: its apex (de Souza Neto, Peric and Owen 2008, section 8.3)."""
     G, A, B, k, K, inverse = par[1], par[2], par[3], par[4], par[5], par[6]
     da, db, dc, q, mean = deviator(a, b, c)
@@ -81,7 +81,7 @@ def drucker_prager_returned(a: float, b: float, c: float, par: Array) -> Stresse
 
 
 @helper
-def drucker_prager_tangent(region: int, a: float, b: float, c: float, par: Array) -> Floats:
+def drucker_prager_tangent(region: int, a: float, b: float, c: float, par: Array, dt: float) -> Floats:
     lam, G, A, B, k, K, inverse = par[0], par[1], par[2], par[3], par[4], par[5], par[6]
     if region == 2:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -136,7 +136,7 @@ MAPS, TANGENTS = 5, 5 + 3 * 12
 
 
 @helper
-def mohr_coulomb_returned(a: float, b: float, c: float, par: Array) -> Stresses:
+def mohr_coulomb_returned(a: float, b: float, c: float, par: Array, dt: float) -> Stresses:
     """Return to the plane, an edge or the apex of the sorted sextant.
 
     All are flat, so each region's map is affine (Clausen, Damkilde and Andersen 2007, Computers and Structures
@@ -171,7 +171,7 @@ def affine(a: float, b: float, c: float, par: Array, at: int) -> tuple[float, fl
 
 
 @helper
-def mohr_coulomb_tangent(region: int, a: float, b: float, c: float, par: Array) -> Floats:
+def mohr_coulomb_tangent(region: int, a: float, b: float, c: float, par: Array, dt: float) -> Floats:
     if region == 4:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if region == 0:
