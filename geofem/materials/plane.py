@@ -48,23 +48,33 @@ def in_plane(returned: Kernel, tangent: Kernel) -> tuple[Kernel, Kernel]:
     def respond(p: float, q: float, z: float, par: Array, dt: float) -> Stresses:
         """(region, rp, rq, rz)."""
         if z >= p:
-            region, rz, rp, rq = returned(z, p, q, par, dt)
+            a, b, c = z, p, q
         elif z <= q:
-            region, rp, rq, rz = returned(p, q, z, par, dt)
+            a, b, c = p, q, z
         else:
-            region, rp, rz, rq = returned(p, z, q, par, dt)
-        return region, rp, rq, rz
+            a, b, c = p, z, q
+        region, ra, rb, rc = returned(a, b, c, par, dt)
+        if z >= p:
+            return region, rb, rc, ra
+        if z <= q:
+            return region, ra, rb, rc
+        return region, ra, rc, rb
 
     @helper
     def stiffness(region: int, p: float, q: float, z: float, par: Array, dt: float) -> Floats:
         """Derivatives of (rp, rq, rz), row by row."""
         if z >= p:
-            zz, zp, zq, pz, pp, pq, qz, qp, qq = tangent(region, z, p, q, par, dt)
+            a, b, c = z, p, q
         elif z <= q:
-            pp, pq, pz, qp, qq, qz, zp, zq, zz = tangent(region, p, q, z, par, dt)
+            a, b, c = p, q, z
         else:
-            pp, pz, pq, zp, zz, zq, qp, qz, qq = tangent(region, p, z, q, par, dt)
-        return pp, pq, pz, qp, qq, qz, zp, zq, zz
+            a, b, c = p, z, q
+        aa, ab, ac, ba, bb, bc, ca, cb, cc = tangent(region, a, b, c, par, dt)
+        if z >= p:
+            return bb, bc, ba, cb, cc, ca, ab, ac, aa
+        if z <= q:
+            return aa, ab, ac, ba, bb, bc, ca, cb, cc
+        return aa, ac, ab, ca, cc, cb, ba, bc, bb
 
     return respond, stiffness
 
