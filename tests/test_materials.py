@@ -327,4 +327,6 @@ def test_elastic_energy_is_half_stress_times_strain(m):
 def test_wave_speed_is_that_of_a_laterally_held_bar():
     modulus = E * (1 - NU) / ((1 + NU) * (1 - 2 * NU))
     assert materials.get("hencky").wave_speed(vector("linear_elastic"), 2.0) == pytest.approx(math.sqrt(modulus / 2), rel=1e-14)
-    assert materials.get("newtonian").wave_speed(np.array([0.1, 2e9]), 1000.0) == pytest.approx(math.sqrt(2e6), rel=1e-14)
+    assert materials.get("newtonian").wave_speed(np.array([0.1, 2e9, 7.0, 0.0]), 1000.0) == pytest.approx(
+        math.sqrt(2e6), rel=1e-14
+    )

@@ -23,7 +23,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Law:
-    """What a law is and what it asks for; ``parameters`` and the defaults of ``optional`` ones are named with their units.
+    """What a law is and what it asks for: ``parameters`` by their meaning and unit, ``optional`` ones by default and meaning.
 
     small, finite : whether the law knows small strains, finite strains. history : whether the answer at finite strain
     depends on the path. module : the module of geofem.materials where its kernels live.
@@ -33,7 +33,7 @@ class Law:
     summary: str
     module: str
     parameters: Mapping[str, str]
-    optional: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    optional: Mapping[str, tuple[float, str]] = field(default_factory=lambda: MappingProxyType({}))
     small: bool = True
     finite: bool = True
     history: bool = False
@@ -47,10 +47,11 @@ class Kernels:
         The converged stress is state[:, :m]. None if the law has no small-strain form.
     finite : (F (N, g), F_old (N, g), state (N, s), par, dt, P (N, g), A (N, g, g), new_state (N, s)) -> number of plastic
         points, or -1 - i if point i is the first with det F <= 0. P is the first Piola-Kirchhoff stress and A = dP/dF.
-        The state is the elastic left Cauchy-Green tensor less the identity, by its m tensor components.
+        The state is the elastic left Cauchy-Green tensor less the identity, by its m tensor components; where a material
+        without tension has opened, its volume is the gap and its stress is none.
     point : (F (g,), F_old (g,), state (s,), par, dt, tau (m,), new_state (s,)) -> 1 if plastic, 0 if not, -1 if det F <= 0.
         Writes the Kirchhoff stress. To be called from compiled loops, which may close over it and still be cached by numba.
-    parameters : (material, weakening=1.0) -> par. The strength (c, k and tan phi, tan psi) is divided by ``weakening``.
+    parameters : (material, weakening=1.0) -> par. The strength (c, k, mu_s, mu_2 and tan phi, tan psi) is divided by ``weakening``.
     wave_speed : (par, density) -> speed of compression waves (m/s).
     energy : (F (N, g), par) -> (N,) stored energy per reference volume (J/m3), for hyperelastic laws.
     elastic_energy : (state (N, s), par, m, finite) -> (N,) stored energy (J/m3) of an elastic state, for laws with a state.
@@ -74,6 +75,10 @@ class Kernels:
 
 ELASTIC = {"E": "Young's modulus, Pa", "nu": "Poisson's ratio"}
 FRICTION = ELASTIC | {"c": "cohesion, Pa", "phi": "friction angle, degrees"}
+DILATION = {
+    "psi": (0.0, "dilation angle, degrees"),
+    "gap": (0.0, "1: what has opened in tension closes before it resists again (c = 0, finite strain); 0: it resists at once"),
+}
 
 LAWS: dict[str, Law] = {
     law.name: law
@@ -85,19 +90,26 @@ LAWS: dict[str, Law] = {
             ELASTIC | {"k": "strength in simple shear, Pa"}, history=True),
         Law("tresca", "perfectly plastic, largest shear stress <= c", "plastic",
             ELASTIC | {"c": "undrained shear strength, Pa"}, history=True),
-        Law("mohr_coulomb", "perfectly plastic, shear stress <= c + pressure tan phi, dilation angle psi (degrees)", "plastic",
-            FRICTION, {"psi": 0.0}, history=True),
+        Law("mohr_coulomb", "perfectly plastic, shear stress <= c + pressure tan phi", "plastic",
+            FRICTION, DILATION, history=True),
         Law("drucker_prager", "perfectly plastic cone that fails like Mohr-Coulomb in plane strain", "plastic",
-            FRICTION, {"psi": 0.0}, history=True),
+            FRICTION, DILATION, history=True),
+        Law("mu_i", "dense granular flow, shear stress <= mu(I) pressure, no tension", "granular",
+            ELASTIC | {"mu_s": "friction coefficient at rest", "mu_2": "friction coefficient of fast flow",
+                       "I_0": "inertial number halfway between them", "d": "grain diameter, m"},
+            {"rho_s": (2500.0, "density of the grains, kg/m3")}, small=False, history=True),
         Law("newtonian", "viscous, weakly compressible fluid", "fluid",
-            {"mu": "viscosity, Pa s", "K": "bulk modulus, Pa"}, small=False, history=True),
+            {"mu": "viscosity, Pa s", "K": "bulk modulus, Pa"},
+            {"gamma": (1.0, "exponent of Tait's equation of state, 7 for water"),
+             "cavitation": (-math.inf, "least pressure, Pa; 0 for a free surface without tension")},
+            small=False, history=True),
     )
 }  # fmt: skip
 
 
 def values(material: Material) -> dict[str, float]:
     """The parameters of a material, defaults filled in."""
-    return {**LAWS[material.law].optional, **material.parameters}
+    return {name: default for name, (default, _) in LAWS[material.law].optional.items()} | dict(material.parameters)
 
 
 def lame(E: float, nu: float) -> tuple[float, float]:
@@ -119,21 +131,26 @@ def check(material: Material, where: str, incompressible_ok: bool = False) -> No
     for name, meaning in law.parameters.items():
         if name not in material.parameters:
             raise Mistake(f"{where}: {law.name} lacks its parameter {name} ({meaning}); give it in Material(parameters=...)")
-    given = values(material)
-    for name, value in [("density", material.density), *given.items()]:
+    for name, value in [("density", material.density), *material.parameters.items()]:
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
             raise Mistake(f"{where}: {name} = {value!r} must be a finite number")
     if material.density < 0:
         raise Mistake(f"{where}: density = {material.density:g} kg/m3 must not be negative")
+    given = values(material)
     for name in ("E", "K"):
         if name in given and given[name] <= 0:
             raise Mistake(f"{where}: {name} = {given[name]:g} Pa must be positive")
     if given.get("mu", 0.0) < 0:
         raise Mistake(f"{where}: mu = {given['mu']:g} Pa s must not be negative")
+    if "gamma" in given:
+        check_pressure(given["gamma"], given["cavitation"], where)
+    if "mu_s" in given:
+        check_grains(given, where)
     if "nu" in given:
         check_poisson(given["nu"], where, incompressible_ok)
     if "phi" in given:
         check_friction(given["c"], given["phi"], given["psi"], where)
+        check_gap(given["gap"], given["c"], where)
     else:
         for name in ("c", "k"):
             if name in given and given[name] <= 0:
@@ -156,6 +173,28 @@ def check_friction(c: float, phi: float, psi: float, where: str) -> None:
         raise Mistake(f"{where}: psi = {psi:g} degrees must lie between 0 and phi = {phi:g}")
     if c == 0 and phi == 0:
         raise Mistake(f"{where}: has no strength; give c > 0 or phi > 0")
+
+
+def check_gap(gap: float, c: float, where: str) -> None:
+    if gap not in (0.0, 1.0):
+        raise Mistake(f"{where}: gap = {gap:g} must be 0 or 1")
+    if gap and c > 0:
+        raise Mistake(f"{where}: gap = 1 is for materials without cohesion; give c = 0")
+
+
+def check_pressure(gamma: float, cavitation: float, where: str) -> None:
+    if gamma <= 0:
+        raise Mistake(f"{where}: gamma = {gamma:g} must be positive")
+    if cavitation > 0:
+        raise Mistake(f"{where}: cavitation = {cavitation:g} Pa must not be positive: the fluid starts at pressure 0")
+
+
+def check_grains(given: Mapping[str, float], where: str) -> None:
+    for name, unit in (("mu_s", ""), ("I_0", ""), ("d", " m"), ("rho_s", " kg/m3")):
+        if given[name] <= 0:
+            raise Mistake(f"{where}: {name} = {given[name]:g}{unit} must be positive")
+    if given["mu_2"] < given["mu_s"]:
+        raise Mistake(f"{where}: mu_2 = {given['mu_2']:g} must not be below mu_s = {given['mu_s']:g}")
 
 
 def get(law: str) -> Kernels:

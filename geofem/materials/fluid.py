@@ -1,7 +1,12 @@
-"""A viscous, weakly compressible fluid. par = (mu, K): viscosity (Pa s) and bulk modulus (Pa).
+"""A viscous, weakly compressible fluid. par = (mu, K, gamma, cavitation): Pa s, Pa, 1, Pa.
 
-tau = J (2 mu dev d - p I) with p = K (1/J - 1) and the rate of deformation d = (I - (f f^T)^-1) / 2 dt: the Almansi
-strain of the step, f = F F_old^-1, over dt; first-order in dt, and zero in any rigid rotation.
+tau = J (2 mu dev d - p I) with the rate of deformation d = (I - (f f^T)^-1) / 2 dt: the Almansi strain of the step,
+f = F F_old^-1, over dt; first-order in dt, and zero in any rigid rotation.
+
+The pressure is that of Tait's equation as Cole (1948, Underwater Explosions) and Monaghan (1994, J. Comput.
+Phys. 110:399-406) write it, p = K / gamma ((1/J)^gamma - 1), gamma = 7 for water; gamma = 1, p = K (1/J - 1), is linear
+in the density. It does not fall below the pressure ``cavitation`` (0 for water with a free surface, which would else hang
+together in threads): J is the whole change of volume, so a fluid that has parted resists only when it is back at its density.
 """
 
 from __future__ import annotations
@@ -28,8 +33,19 @@ from geofem.scene import Material
 
 
 @helper
-def stress(F: Array, F_old: Array, par: Array, dt: float) -> tuple[Floats, Floats]:
-    """(c, tau) by 6 tensor components each (xx, yy, zz, xy, yz, xz); c = (f f^T)^-1."""
+def pressure(J: float, par: Array) -> tuple[float, float]:
+    """(-J p, bulk) with bulk = J d(-J p)/dJ + J p: K J^(1 - gamma), and 0 at the pressure of cavitation."""
+    K, gamma, cavitation = par[1], par[2], par[3]
+    power = 1.0 if gamma == 1.0 else J ** (1.0 - gamma)
+    sphere = K / gamma * (J - power)
+    if sphere > -cavitation * J:
+        return -cavitation * J, 0.0
+    return sphere, K * power
+
+
+@helper
+def stress(F: Array, F_old: Array, par: Array, dt: float) -> tuple[Floats, Floats, float]:
+    """(c, tau, bulk): c = (f f^T)^-1 and tau by 6 tensor components each (xx, yy, zz, xy, yz, xz), bulk as in ``pressure``."""
     if F.shape[0] == 5:
         i0, i1, i2, i3, i4 = inverse_plane(F)
         g0, g1 = F_old[0] * i0 + F_old[1] * i2, F_old[0] * i1 + F_old[1] * i3
@@ -47,12 +63,13 @@ def stress(F: Array, F_old: Array, par: Array, dt: float) -> tuple[Floats, Float
         )  # fmt: skip
     J = det(F)
     viscous = par[0] * J / dt
-    sphere = par[1] * (J - 1.0) + viscous * (c[0] + c[1] + c[2]) / 3.0
+    sphere, bulk = pressure(J, par)
+    sphere += viscous * (c[0] + c[1] + c[2]) / 3.0
     tau = (
         sphere - viscous * c[0], sphere - viscous * c[1], sphere - viscous * c[2],
         -viscous * c[3], -viscous * c[4], -viscous * c[5],
     )  # fmt: skip
-    return c, tau
+    return c, tau, bulk
 
 
 @helper
@@ -74,7 +91,7 @@ def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array
         if not J > 0.0:
             return -1 - n
         unpack_inverse(F[n], inverse)
-        c_components, tau_components = stress(F[n], F_old[n], par, dt)
+        c_components, tau_components, bulk = stress(F[n], F_old[n], par, dt)
         symmetric(c_components, c)
         symmetric(tau_components, tau)
         # With F^-1 on the second legs: pulled = tau F^-T, mixed = F^-1 c, metric = F^-1 F^-T.
@@ -86,14 +103,14 @@ def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array
                     mixed[i, j] += inverse[i, k] * c[k, j]
                     metric[i, j] += inverse[i, k] * inverse[j, k]
         viscous = par[0] * J / dt
-        # d tau / d l = (tau + K I) x I + viscous (d(l^T c + c l) / d l)', and -tau x I from the pull-back of P.
+        # d tau / d l = (tau + bulk I) x I + viscous (d(l^T c + c l) / d l)', and -tau x I from the pull-back of P.
         for p in range(g):
             i, j = row[p], column[p]
             P[n, p] = pulled[i, j]
             for q in range(g):
                 k, l = row[q], column[q]
                 A[n, p, q] = (
-                    (pulled[i, j] + par[1] * inverse[j, i]) * inverse[l, k]
+                    (pulled[i, j] + bulk * inverse[j, i]) * inverse[l, k]
                     - pulled[i, l] * inverse[j, k]
                     + viscous * (inverse[l, i] * mixed[j, k] + c[i, k] * metric[j, l] - 2.0 / 3.0 * inverse[j, i] * mixed[l, k])
                 )
@@ -104,20 +121,21 @@ def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array
 def point(F: Array, F_old: Array, state: Array, par: Array, dt: float, tau: Array, new_state: Array) -> int:
     if not det(F) > 0.0:
         return -1
-    _, t = stress(F, F_old, par, dt)
-    for i in range(tau.shape[0]):
-        tau[i] = t[i]
+    _, t, _ = stress(F, F_old, par, dt)
+    tau[0], tau[1], tau[2], tau[3] = t[0], t[1], t[2], t[3]
+    if F.shape[0] == 9:
+        tau[4], tau[5] = t[4], t[5]
     return 0
 
 
 def parameters(material: Material, weakening: float = 1.0) -> Array:
-    """(mu, K)."""
+    """(mu, K, gamma, cavitation)."""
     p = values(material)
-    return np.array([p["mu"], p["K"]])
+    return np.array([p["mu"], p["K"], p["gamma"], p["cavitation"]])
 
 
 def wave_speed(par: Array, density: float) -> float:
-    """sqrt(K / density), m/s."""
+    """sqrt(K / density), m/s, at rest; (1/J)^((gamma - 1) / 2) times as much under pressure."""
     return math.sqrt(par[1] / density)
 
 

@@ -12,12 +12,12 @@ from geofem.scene import Material
 
 
 @helper
-def returned(a: float, b: float, c: float, par: Array) -> Stresses:
+def returned(a: float, b: float, c: float, par: Array, dt: float) -> Stresses:
     return 0, a, b, c
 
 
 @helper
-def tangent(region: int, a: float, b: float, c: float, par: Array) -> Floats:
+def tangent(region: int, a: float, b: float, c: float, par: Array, dt: float) -> Floats:
     """Hooke's law in principal axes."""
     lam, G = par[0], par[1]
     d = lam + 2.0 * G

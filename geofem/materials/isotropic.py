@@ -14,10 +14,24 @@ from geofem.materials.solid import finite_solid, small_solid
 
 
 def isotropic(
-    returned: Kernel, tangent: Kernel, parameters: Callable[..., Array], energy: Callable[[Array, Array], Array] | None = None
+    returned: Kernel,
+    tangent: Kernel,
+    parameters: Callable[..., Array],
+    energy: Callable[[Array, Array], Array] | None = None,
+    *,
+    apex: Callable[[Array], float] | None = None,
+    small: bool = True,
 ) -> Kernels:
-    """The kernels of a law in principal space: plastic, or hyperelastic in the logarithmic strain if it has an ``energy``."""
+    """The kernels of a law in principal space: plastic, or hyperelastic in the logarithmic strain if it has an ``energy``.
+
+    apex : par -> the mean stress (Pa) that no elastic state exceeds: a state that keeps more volume than that has a gap.
+    small : False for plastic laws that need the step or a gap, which small strain does not know.
+    """
     history = energy is None
+
+    def stored(state: Array, par: Array, m: int, finite: bool) -> Array:
+        return elastic_energy(state, par, m, finite, apex(par) if apex else math.inf)
+
     finite_in_plane, point_in_plane = finite_plane(returned, tangent, history)
     finite_in_space, point_in_space = finite_solid(returned, tangent, history)
 
@@ -30,13 +44,13 @@ def isotropic(
     return Kernels(
         parameters=parameters,
         state_size=(lambda m: m) if history else (lambda m: 0),
-        small=by_dimension(small_plane(returned, tangent), small_solid(returned, tangent)) if history else None,
+        small=by_dimension(small_plane(returned, tangent), small_solid(returned, tangent)) if history and small else None,
         finite=by_dimension(finite_in_plane, finite_in_space),
         point=point,
         wave_speed=wave_speed,
         push=push,
         energy=energy,
-        elastic_energy=elastic_energy if history else None,
+        elastic_energy=stored if history else None,
     )
 
 
@@ -45,10 +59,10 @@ def wave_speed(par: Array, density: float) -> float:
     return math.sqrt((par[0] + 2.0 * par[1]) / density)
 
 
-def elastic_energy(state: Array, par: Array, m: int, finite: bool) -> Array:
+def elastic_energy(state: Array, par: Array, m: int, finite: bool, apex: float = math.inf) -> Array:
     """Stored energy (J/m3): of the stress in a small-strain state, of the logarithmic strain in a finite-strain state.
 
-    state (N, s) -> (N,). At finite strain per reference volume.
+    state (N, s) -> (N,). At finite strain per reference volume; a gap beyond the mean stress ``apex`` (Pa) stores nothing more.
     """
     lam, G = par[0], par[1]
     shear = state[:, 3:m]
@@ -60,7 +74,12 @@ def elastic_energy(state: Array, par: Array, m: int, finite: bool) -> Array:
     b[:, range(3), range(3)] = 1.0 + state[:, :3]
     for k, (i, j) in enumerate(((0, 1), (1, 2), (0, 2))[: m - 3]):
         b[:, i, j] = b[:, j, i] = shear[:, k]
-    return logarithmic_energy(b, lam, G)
+    energy = logarithmic_energy(b, lam, G)
+    if apex == math.inf:
+        return energy
+    K = lam + 2.0 * G / 3.0
+    gap = 0.5 * K * np.log(np.linalg.det(b)) > apex
+    return np.where(gap, 0.5 * apex**2 / K, energy)
 
 
 def logarithmic_energy(b: Array, lam: float, G: float) -> Array:

@@ -20,8 +20,10 @@ Kernel = Callable[..., Any]
 FLAGS = {"error_model": "numpy", "fastmath": {"contract", "nsz", "arcp", "reassoc"}}
 
 # Helpers are plain functions to Python and compiled code to numba. Not njit: numba keys its cache by the functions that a
-# kernel closes over, and a dispatcher's key is new in every process.
-helper = register_jitable(**FLAGS)
+# kernel closes over, and a dispatcher's key is new in every process. Inlined, and without counting references to their
+# arguments, which their callers hold anyway (_nrt: numba's runtime): the counting took more than half of a point's time.
+# A helper must therefore not allocate nor return an array that it was given.
+helper = register_jitable(forceinline=True, _nrt=False, **FLAGS)
 kernel = njit(cache=True, **FLAGS)
 
 # Row and column of each component.

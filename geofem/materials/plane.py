@@ -1,9 +1,13 @@
 """From a law in principal space to its kernels in the plane and with axial symmetry (m = 4, g = 5): zz is a principal axis.
 
 A law is a pair of helpers, for principal trial stresses a >= b >= c:
-returned(a, b, c, par) -> (region, ra, rb, rc) with region 0 for elastic;
-tangent(region, a, b, c, par) -> the derivatives of (ra, rb, rc) by the trial strains, row by row, a tuple of 9.
-par starts with Lamé's constants (lambda, G).
+returned(a, b, c, par, dt) -> (region, ra, rb, rc) with region 0 for elastic;
+tangent(region, a, b, c, par, dt) -> the derivatives of (ra, rb, rc) by the trial strains, row by row, a tuple of 9.
+par starts with Lamé's constants (lambda, G). dt is the step (s) for laws that depend on the rate; infinite at small strain,
+which knows no rate.
+
+Region ``OPEN`` is a gap: the stress is what ``returned`` says, usually none, but at finite strain the elastic state keeps
+the whole change of volume, without shear, so that the gap has to close before the material resists again.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ from geofem.materials.kinematics import Array, Floats, Kernel, det_plane, helper
 from geofem.materials.principal import eigen_plane, half_angle, log_slope, shear_ratio
 
 Stresses = tuple[int, float, float, float]
+OPEN = 9
 
 
 @helper
@@ -40,26 +45,36 @@ def in_plane(returned: Kernel, tangent: Kernel) -> tuple[Kernel, Kernel]:
     """The law for principal stresses p >= q of the plane and z across it: sorted, answered, and put back."""
 
     @helper
-    def respond(p: float, q: float, z: float, par: Array) -> Stresses:
+    def respond(p: float, q: float, z: float, par: Array, dt: float) -> Stresses:
         """(region, rp, rq, rz)."""
         if z >= p:
-            region, rz, rp, rq = returned(z, p, q, par)
+            a, b, c = z, p, q
         elif z <= q:
-            region, rp, rq, rz = returned(p, q, z, par)
+            a, b, c = p, q, z
         else:
-            region, rp, rz, rq = returned(p, z, q, par)
-        return region, rp, rq, rz
+            a, b, c = p, z, q
+        region, ra, rb, rc = returned(a, b, c, par, dt)
+        if z >= p:
+            return region, rb, rc, ra
+        if z <= q:
+            return region, ra, rb, rc
+        return region, ra, rc, rb
 
     @helper
-    def stiffness(region: int, p: float, q: float, z: float, par: Array) -> Floats:
+    def stiffness(region: int, p: float, q: float, z: float, par: Array, dt: float) -> Floats:
         """Derivatives of (rp, rq, rz), row by row."""
         if z >= p:
-            zz, zp, zq, pz, pp, pq, qz, qp, qq = tangent(region, z, p, q, par)
+            a, b, c = z, p, q
         elif z <= q:
-            pp, pq, pz, qp, qq, qz, zp, zq, zz = tangent(region, p, q, z, par)
+            a, b, c = p, q, z
         else:
-            pp, pz, pq, zp, zz, zq, qp, qz, qq = tangent(region, p, z, q, par)
-        return pp, pq, pz, qp, qq, qz, zp, zq, zz
+            a, b, c = p, z, q
+        aa, ab, ac, ba, bb, bc, ca, cb, cc = tangent(region, a, b, c, par, dt)
+        if z >= p:
+            return bb, bc, ba, cb, cc, ca, ab, ac, aa
+        if z <= q:
+            return aa, ab, ac, ba, bb, bc, ca, cb, cc
+        return aa, ac, ab, ca, cc, cb, ba, bc, bb
 
     return respond, stiffness
 
@@ -80,7 +95,7 @@ def small_plane(returned: Kernel, tangent: Kernel) -> Kernel:
             z = state[n, 2] + volume + 2.0 * G * dz
             s = state[n, 3] + G * ds
             p, q, cos2, sin2 = eigen_plane(x, y, s)
-            region, rp, rq, rz = respond(p, q, z, par)
+            region, rp, rq, rz = respond(p, q, z, par, math.inf)
             D = tangents[n]
             if region == 0:
                 for i in range(3):
@@ -91,7 +106,7 @@ def small_plane(returned: Kernel, tangent: Kernel) -> Kernel:
                 D[3, 3] = G
             else:
                 plastic += 1
-                pp, pq, pz, qp, qq, qz, zp, zq, zz = stiffness(region, p, q, z, par)
+                pp, pq, pz, qp, qq, qz, zp, zq, zz = stiffness(region, p, q, z, par, math.inf)
                 shear = G * shear_ratio(p, q, rp, rq, pp, pq, qp, qq, G)
                 # Strains in the principal frame: e_p = cc e_x + ss e_y + cs g, e_q = ss e_x + cc e_y - cs g,
                 # g_pq = 2 cs (e_y - e_x) + cos2 g. Stresses turn back by the transpose.
@@ -125,7 +140,7 @@ def finite_plane(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
     respond, stiffness = in_plane(returned, tangent)
 
     @helper
-    def answer(F: Array, F_old: Array, state: Array, par: Array, new_state: Array) -> Floats:
+    def answer(F: Array, F_old: Array, state: Array, par: Array, dt: float, new_state: Array) -> Floats:
         """Return mapping at a point; writes the new state. Returns the region, the in-plane frame (cos2, sin2), and
         stretches squared l, logarithmic strains e, trial stresses s and Kirchhoff stresses r along p, q, z."""
         lam, G = par[0], par[1]
@@ -134,13 +149,16 @@ def finite_plane(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
         ep, eq, ez = 0.5 * math.log(lp), 0.5 * math.log(lq), 0.5 * math.log(lz)
         volume = lam * (ep + eq + ez)
         sp, sq, sz = volume + 2.0 * G * ep, volume + 2.0 * G * eq, volume + 2.0 * G * ez
-        region, rp, rq, rz = respond(sp, sq, sz, par)
+        region, rp, rq, rz = respond(sp, sq, sz, par, dt)
         if history:
             if region == 0:
                 new_state[0], new_state[1], new_state[2], new_state[3] = bx - 1.0, by - 1.0, lz - 1.0, bs
             else:
-                mean = lam / (3.0 * lam + 2.0 * G) * (rp + rq + rz)
-                vp, vq, vz = math.exp((rp - mean) / G), math.exp((rq - mean) / G), math.exp((rz - mean) / G)
+                if region == OPEN:
+                    vp = vq = vz = math.exp(2.0 / 3.0 * (ep + eq + ez))
+                else:
+                    mean = lam / (3.0 * lam + 2.0 * G) * (rp + rq + rz)
+                    vp, vq, vz = math.exp((rp - mean) / G), math.exp((rq - mean) / G), math.exp((rz - mean) / G)
                 centre, radius = 0.5 * (vp + vq) - 1.0, 0.5 * (vp - vq)
                 new_state[0], new_state[1] = centre + radius * cos2, centre - radius * cos2
                 new_state[2], new_state[3] = vz - 1.0, radius * sin2
@@ -155,9 +173,9 @@ def finite_plane(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
         for n in range(F.shape[0]):
             if not det_plane(F[n]) > 0.0:
                 return -1 - n
-            region, cos2, sin2, lp, lq, ep, eq, sp, sq, sz, rp, rq, rz = answer(F[n], F_old[n], state[n], par, new_state[n])
+            region, cos2, sin2, lp, lq, ep, eq, sp, sq, sz, rp, rq, rz = answer(F[n], F_old[n], state[n], par, dt, new_state[n])
             plastic += region > 0
-            dpp, dpq, dpz, dqp, dqq, dqz, dzp, dzq, dzz = stiffness(region, sp, sq, sz, par)
+            dpp, dpq, dpz, dqp, dqq, dqz, dzp, dzq, dzz = stiffness(region, sp, sq, sz, par, dt)
             # Derivative of the shear stress between p and q by the trial left Cauchy-Green tensor.
             h = 2.0 * G * shear_ratio(sp, sq, rp, rq, dpp, dpq, dqp, dqq, G) * log_slope(ep, eq, lp, lq)
             i0, i1, i2, i3, w = inverse_plane(F[n])
@@ -185,7 +203,7 @@ def finite_plane(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
     def point(F: Array, F_old: Array, state: Array, par: Array, dt: float, tau: Array, new_state: Array) -> int:
         if not det_plane(F) > 0.0:
             return -1
-        region, cos2, sin2, _, _, _, _, _, _, _, rp, rq, rz = answer(F, F_old, state, par, new_state)
+        region, cos2, sin2, _, _, _, _, _, _, _, rp, rq, rz = answer(F, F_old, state, par, dt, new_state)
         mean, radius = 0.5 * (rp + rq), 0.5 * (rp - rq)
         tau[0], tau[1], tau[2], tau[3] = mean + radius * cos2, mean - radius * cos2, rz, radius * sin2
         return 1 if region > 0 else 0

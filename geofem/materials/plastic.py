@@ -14,7 +14,7 @@ import numpy as np
 from geofem.materials import lame, values
 from geofem.materials.isotropic import isotropic
 from geofem.materials.kinematics import Array, Floats, helper
-from geofem.materials.plane import Stresses
+from geofem.materials.plane import OPEN, Stresses
 from geofem.scene import Material
 
 ROUNDING = 1e-12
@@ -31,7 +31,7 @@ def deviator(a: float, b: float, c: float) -> Floats:
 
 
 @helper
-def von_mises_returned(a: float, b: float, c: float, par: Array) -> Stresses:
+def von_mises_returned(a: float, b: float, c: float, par: Array, dt: float) -> Stresses:
     """Radial return (Wilkins 1964)."""
     da, db, dc, q, mean = deviator(a, b, c)
     if not q > par[2] * (1.0 + ROUNDING):
@@ -41,7 +41,7 @@ def von_mises_returned(a: float, b: float, c: float, par: Array) -> Stresses:
 
 
 @helper
-def von_mises_tangent(region: int, a: float, b: float, c: float, par: Array) -> Floats:
+def von_mises_tangent(region: int, a: float, b: float, c: float, par: Array, dt: float) -> Floats:
     """K 1 x 1 + 2 G r (I - 1 x 1 / 3 - s x s / 2 J2) with r = k / sqrt(J2), the last term when plastic only."""
     lam, G = par[0], par[1]
     ratio, na, nb, nc = 1.0, 0.0, 0.0, 0.0
@@ -62,9 +62,9 @@ def von_mises_parameters(material: Material, weakening: float = 1.0) -> Array:
     return np.array([*lame(p["E"], p["nu"]), p["k"] / weakening])
 
 
-# --- Drucker-Prager: sqrt(J2) + A mean <= k, flow by B; par = (lambda, G, A, B, k, K, 1 / (G + A B K)) --------------------
+# --- Drucker-Prager: sqrt(J2) + A mean <= k, flow by B; par = (lambda, G, A, B, k, K, 1 / (G + A B K), gap) ---------------
 @helper
-def drucker_prager_returned(a: float, b: float, c: float, par: Array) -> Stresses:
+def drucker_prager_returned(a: float, b: float, c: float, par: Array, dt: float) -> Stresses:
     """Region 1: the cone; region 2: its apex (de Souza Neto, Peric and Owen 2008, section 8.3)."""
     G, A, B, k, K, inverse = par[1], par[2], par[3], par[4], par[5], par[6]
     da, db, dc, q, mean = deviator(a, b, c)
@@ -74,16 +74,16 @@ def drucker_prager_returned(a: float, b: float, c: float, par: Array) -> Stresse
     multiplier = f * inverse
     if q < G * multiplier:
         apex = k / A
-        return 2, apex, apex, apex
+        return (OPEN if par[7] > 0.0 and mean > 0.0 else 2), apex, apex, apex
     ratio = 1.0 - G * multiplier / q
     mean -= B * K * multiplier
     return 1, mean + ratio * da, mean + ratio * db, mean + ratio * dc
 
 
 @helper
-def drucker_prager_tangent(region: int, a: float, b: float, c: float, par: Array) -> Floats:
+def drucker_prager_tangent(region: int, a: float, b: float, c: float, par: Array, dt: float) -> Floats:
     lam, G, A, B, k, K, inverse = par[0], par[1], par[2], par[3], par[4], par[5], par[6]
-    if region == 2:
+    if region >= 2:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if region == 0:
         d = lam + 2.0 * G
@@ -105,7 +105,7 @@ def drucker_prager_tangent(region: int, a: float, b: float, c: float, par: Array
 
 
 def drucker_prager_parameters(material: Material, weakening: float = 1.0) -> Array:
-    """(lambda, G, A, B, k, K, 1 / (G + A B K)): the cone that fails and dilates like Mohr-Coulomb in plane strain.
+    """(lambda, G, A, B, k, K, 1 / (G + A B K), gap): the cone that fails and dilates like Mohr-Coulomb in plane strain.
 
     Plastic flow without strain across the plane asks for a stress -2 B sqrt(J2) / 3 there (deviatoric); equating the
     in-plane strength and dilation with those of Mohr-Coulomb gives B = sin psi / sqrt(1 + sin^2 psi / 3) and
@@ -118,7 +118,17 @@ def drucker_prager_parameters(material: Material, weakening: float = 1.0) -> Arr
     B = math.sin(psi) / math.sqrt(1.0 + math.sin(psi) ** 2 / 3.0)
     scale = math.sqrt(1.0 - B * B / 3.0) + B * math.sin(phi) / 3.0
     A, k = math.sin(phi) / scale, c * math.cos(phi) / scale
-    return np.array([lam, G, A, B, k, K, 1.0 / (G + A * B * K)])
+    return np.array([lam, G, A, B, k, K, 1.0 / (G + A * B * K), gap(material)])
+
+
+def drucker_prager_apex(par: Array) -> float:
+    """The largest mean stress, Pa."""
+    return par[4] / par[2] if par[2] > 0.0 else math.inf
+
+
+def gap(material: Material) -> float:
+    """1 if what has opened in tension must close before it resists again, else 0."""
+    return values(material).get("gap", 0.0)
 
 
 def strength(material: Material, weakening: float) -> tuple[float, float, float, float, float]:
@@ -131,12 +141,12 @@ def strength(material: Material, weakening: float) -> tuple[float, float, float,
 # --- Mohr-Coulomb and Tresca: m a - c <= s ------------------------------------------------------------------------------
 # par: lambda, G, m, s, apex, then for each region (1: plane, 2: edge a = b, 3: edge b = c) the returned stress as an
 # affine function of the trial stress, 12 numbers (matrix row by row, then the constant), then for each region the
-# tangent, 9 numbers; region 4 is the apex.
-MAPS, TANGENTS = 5, 5 + 3 * 12
+# tangent, 9 numbers; region 4 is the apex. Last comes gap.
+MAPS, TANGENTS, GAP = 5, 5 + 3 * 12, 5 + 3 * 12 + 3 * 9
 
 
 @helper
-def mohr_coulomb_returned(a: float, b: float, c: float, par: Array) -> Stresses:
+def mohr_coulomb_returned(a: float, b: float, c: float, par: Array, dt: float) -> Stresses:
     """Return to the plane, an edge or the apex of the sorted sextant.
 
     All are flat, so each region's map is affine (Clausen, Damkilde and Andersen 2007, Computers and Structures
@@ -158,7 +168,7 @@ def mohr_coulomb_returned(a: float, b: float, c: float, par: Array) -> Stresses:
         ta, tb, tc = affine(a, b, c, par, MAPS + 24)
         if ta <= apex:
             return 3, ta, tb, tc
-    return 4, apex, apex, apex
+    return (OPEN if par[GAP] > 0.0 and a + b + c > 0.0 else 4), apex, apex, apex
 
 
 @helper
@@ -171,8 +181,8 @@ def affine(a: float, b: float, c: float, par: Array, at: int) -> tuple[float, fl
 
 
 @helper
-def mohr_coulomb_tangent(region: int, a: float, b: float, c: float, par: Array) -> Floats:
-    if region == 4:
+def mohr_coulomb_tangent(region: int, a: float, b: float, c: float, par: Array, dt: float) -> Floats:
+    if region >= 4:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     if region == 0:
         lam, d = par[0], par[0] + 2.0 * par[1]
@@ -204,12 +214,19 @@ def mohr_coulomb_parameters(material: Material, weakening: float = 1.0) -> Array
         constants.append(np.array(start) - np.array(line) * (along @ start))
     flat = [number for map, constant in zip(maps, constants) for number in (*map.ravel(), *constant)]
     tangents = [number for map in maps for number in (map @ stiffness).ravel()]
-    return np.array([lam, G, m, s, s / (m - 1.0) if m > 1.0 else math.inf, *flat, *tangents])
+    return np.array([lam, G, m, s, s / (m - 1.0) if m > 1.0 else math.inf, *flat, *tangents, gap(material)])
+
+
+def mohr_coulomb_apex(par: Array) -> float:
+    """The largest mean stress, Pa."""
+    return par[4]
 
 
 KERNELS = {
     "von_mises": isotropic(von_mises_returned, von_mises_tangent, von_mises_parameters),
-    "tresca": isotropic(mohr_coulomb_returned, mohr_coulomb_tangent, mohr_coulomb_parameters),
-    "drucker_prager": isotropic(drucker_prager_returned, drucker_prager_tangent, drucker_prager_parameters),
+    "tresca": isotropic(mohr_coulomb_returned, mohr_coulomb_tangent, mohr_coulomb_parameters, apex=mohr_coulomb_apex),
+    "drucker_prager": isotropic(
+        drucker_prager_returned, drucker_prager_tangent, drucker_prager_parameters, apex=drucker_prager_apex
+    ),
 }
 KERNELS["mohr_coulomb"] = KERNELS["tresca"]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geofem.materials.kinematics import Array, Floats, Kernel, det_solid, helper, inverse_solid, kernel
+from geofem.materials.plane import OPEN
 from geofem.materials.principal import eigen_solid, log_slope, shear_ratio
 
 
@@ -86,7 +87,7 @@ def small_solid(returned: Kernel, tangent: Kernel) -> Kernel:
                 t[i] = state[n, i] + volume + 2.0 * G * dstrain[n, i]
                 t[i + 3] = state[n, i + 3] + G * dstrain[n, i + 3]
             s, axes = eigen_solid(t[0], t[1], t[2], t[3], t[4], t[5])
-            region, ra, rb, rc = returned(s[0], s[1], s[2], par)
+            region, ra, rb, rc = returned(s[0], s[1], s[2], par, math.inf)
             D = tangents[n]
             D[:] = 0.0
             if region == 0:
@@ -97,7 +98,7 @@ def small_solid(returned: Kernel, tangent: Kernel) -> Kernel:
                     D[i + 3, i + 3] = G
             else:
                 plastic += 1
-                d = tangent(region, s[0], s[1], s[2], par)
+                d = tangent(region, s[0], s[1], s[2], par, math.inf)
                 shear = shear_ratios(s, (ra, rb, rc), d, G)
                 strain_between(basis[0], axes, 0, 0)
                 strain_between(basis[1], axes, 1, 1)
@@ -125,7 +126,7 @@ def finite_solid(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
     """The finite-strain batch kernel of a principal-space law and its point kernel: see ``plane.finite_plane``."""
 
     @helper
-    def answer(F: Array, F_old: Array, state: Array, par: Array, new_state: Array) -> Any:
+    def answer(F: Array, F_old: Array, state: Array, par: Array, dt: float, new_state: Array) -> Any:
         """Return mapping at a point; writes the new state. Returns the region, stretches squared l, logarithmic strains e,
         trial stresses s and Kirchhoff stresses r along the axes, and the axes."""
         lam, G = par[0], par[1]
@@ -134,9 +135,12 @@ def finite_solid(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
         e = (0.5 * math.log(l[0]), 0.5 * math.log(l[1]), 0.5 * math.log(l[2]))
         volume = lam * (e[0] + e[1] + e[2])
         s = (volume + 2.0 * G * e[0], volume + 2.0 * G * e[1], volume + 2.0 * G * e[2])
-        region, ra, rb, rc = returned(s[0], s[1], s[2], par)
+        region, ra, rb, rc = returned(s[0], s[1], s[2], par, dt)
         if history:
-            if region > 0:
+            if region == OPEN:
+                v = math.exp(2.0 / 3.0 * (e[0] + e[1] + e[2]))
+                b = (v, v, v, 0.0, 0.0, 0.0)
+            elif region > 0:
                 mean = lam / (3.0 * lam + 2.0 * G) * (ra + rb + rc)
                 b = compose((math.exp((ra - mean) / G), math.exp((rb - mean) / G), math.exp((rc - mean) / G)), axes)
             new_state[0], new_state[1], new_state[2] = b[0] - 1.0, b[1] - 1.0, b[2] - 1.0
@@ -152,9 +156,9 @@ def finite_solid(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
         for n in range(F.shape[0]):
             if not det_solid(F[n]) > 0.0:
                 return -1 - n
-            region, l, e, s, r, axes = answer(F[n], F_old[n], state[n], par, new_state[n])
+            region, l, e, s, r, axes = answer(F[n], F_old[n], state[n], par, dt, new_state[n])
             plastic += region > 0
-            d = tangent(region, s[0], s[1], s[2], par)
+            d = tangent(region, s[0], s[1], s[2], par, dt)
             shear = shear_ratios(s, r, d, G)
             i = inverse_solid(F[n])
             for b in range(3):
@@ -191,7 +195,7 @@ def finite_solid(returned: Kernel, tangent: Kernel, history: bool) -> tuple[Kern
     def point(F: Array, F_old: Array, state: Array, par: Array, dt: float, tau: Array, new_state: Array) -> int:
         if not det_solid(F) > 0.0:
             return -1
-        region, _, _, _, r, axes = answer(F, F_old, state, par, new_state)
+        region, _, _, _, r, axes = answer(F, F_old, state, par, dt, new_state)
         tau[0], tau[1], tau[2], tau[3], tau[4], tau[5] = compose(r, axes)
         return 1 if region > 0 else 0
 
