@@ -72,6 +72,6 @@ def beam(stiffness: float) -> Scene:
         singular=((0.0, 0.0), (0.0, 1.0)),
         dynamic=True,
         t_end=1.5 / math.sqrt(stiffness),
-        room=Box((-1.0, -4.0), (5.0, 2.0)),
+        room=Box((0.0, -4.0), (5.0, 2.0)),
         knobs={"stiffness": stiffness},
     )
