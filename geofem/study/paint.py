@@ -29,8 +29,8 @@ from geofem.study.fields import Array, Snapshot
 CORNERS = {"triangle": (0, 1, 2), "triangle6": (0, 3, 1, 4, 2, 5), "quad": (0, 1, 2, 3), "quad8": (0, 4, 1, 5, 2, 6, 3, 7),
            "quad9": (0, 4, 1, 5, 2, 6, 3, 7)}  # fmt: skip
 """The nodes around a cell, with those in the middle of its sides where it has them."""
-OUTLINED = 1500
-"""So many cells or domains at most are drawn with their outlines."""
+OUTLINED = 8.0
+"""Cells and domains of this mean width (points, 1/72 inch) or more are drawn with their outlines."""
 SMOOTH = 20_000
 """More domains than this are drawn without smoothing their sides: twice as fast, and they are a few pixels each."""
 LINE = "#00000059"
@@ -64,23 +64,33 @@ def spacing(snapshot: Snapshot) -> float:
     return float(np.median(cKDTree(points).query(some, k=2)[0][:, 1]))
 
 
+def outlined(axes: Axes, around: Array) -> bool:
+    """Whether polygons (n, k, 2) are large enough on paper for a line around each."""
+    x, y = np.moveaxis(around, -1, 0)
+    area = 0.5 * np.abs(np.mean(np.sum(x * np.roll(y, -1, axis=1) - y * np.roll(x, -1, axis=1), axis=1)))
+    scale = axes.bbox.width * 72.0 / axes.figure.dpi / abs(float(np.diff(axes.get_xlim())[0]))
+    return bool(np.sqrt(area) * scale >= OUTLINED)
+
+
 def draw_rigid(axes: Axes, snapshot: Snapshot) -> list[Any]:
     parts = polygons(snapshot)
     bodies, lines = [p for p in parts if len(p) > 2], [p for p in parts if len(p) == 2]
-    drawn = []
+    drawn: list[Any] = []
     if bodies:
-        drawn.append(axes.add_collection(PolyCollection(bodies, facecolor="#d4d4d4", edgecolor="#3c3c3c", linewidth=1.5,
-                                                        hatch="//", zorder=3), autolim=False))  # fmt: skip
+        drawn += [
+            PolyCollection(bodies, facecolor="#dedede", edgecolor="#aaaaaa", linewidth=0, hatch="//", zorder=3),
+            PolyCollection(bodies, facecolor="none", edgecolor="#3c3c3c", linewidth=1.6, zorder=3),
+        ]
     if lines:
-        drawn.append(axes.add_collection(LineCollection(lines, color="#3c3c3c", linewidth=4, zorder=3), autolim=False))
-    return drawn
+        drawn.append(LineCollection(lines, color="#3c3c3c", linewidth=4, zorder=3))
+    return [axes.add_collection(one, autolim=False) for one in drawn]
 
 
 def draw_cloud(axes: Axes, snapshot: Snapshot, values: Array, side: float, look: dict[str, Any]) -> list[Any]:
     """Material points as their domains, or as dots of their volume, or else as dots about ``side`` (m) wide."""
     around = domains(snapshot)
     if around is not None:
-        few = len(around) < OUTLINED
+        few = outlined(axes, around)
         lines = {"edgecolor": LINE if few else "face", "linewidth": 0.5 if few else 0.35}
         if len(around) > SMOOTH:
             lines = {"edgecolor": "none", "antialiased": False}
@@ -109,7 +119,7 @@ def draw_cells(axes: Axes, snapshot: Snapshot, values: Array, look: dict[str, An
                 PolyCollection(points[around], array=values, edgecolor="face", linewidth=0.35, **look), autolim=False
             )
         )
-    if len(around) < OUTLINED:
+    if outlined(axes, points[around]):
         mesh = PolyCollection(points[around], facecolor="none", edgecolor=LINE, linewidth=0.6)
         drawn.append(axes.add_collection(mesh, autolim=False))
     return drawn
@@ -161,7 +171,7 @@ def room(boxes: Array, rigid: list[Array]) -> Array:
     size = (high - low).max() or 1.0
     a, b = low.copy(), high.copy()
     for part in rigid:
-        a = np.minimum(a, np.maximum(part.min(axis=0), low - 0.2 * size))
-        b = np.maximum(b, np.minimum(part.max(axis=0), high + 0.2 * size))
+        a = np.minimum(a, np.maximum(part.min(axis=0), low - 0.12 * size))
+        b = np.maximum(b, np.minimum(part.max(axis=0), high + 0.12 * size))
     thin = np.maximum(size / 8.0 - (b - a), 0.0) / 2.0  # no strip is drawn that is longer than eight times its height
     return np.array([a - thin - 0.03 * size, b + thin + 0.03 * size])

@@ -49,8 +49,12 @@ def bar(figure: Figure, mappable: Any, field: str, si: bool, **options: Any) -> 
     words, factor = prefixed(TITLES[field], largest) if si else (title(TITLES[field], si), 1.0)
     drawn = figure.colorbar(mappable, label=words, **options)
     if factor != 1.0:
-        drawn.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / factor:g}"))
-        drawn.ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / factor:g}"))
+
+        def in_units(value: float, _: int) -> str:
+            return f"{value / factor:g}".replace("-", "\N{MINUS SIGN}")
+
+        drawn.ax.yaxis.set_major_formatter(FuncFormatter(in_units))
+        drawn.ax.xaxis.set_major_formatter(FuncFormatter(in_units))
     return drawn
 
 
@@ -95,8 +99,8 @@ def by_matplotlib(snapshot: Snapshot, path: Path, field: str, si: bool) -> None:
         width, height = (1.0, 1.0) if solid else np.ptp(box, axis=0)
         figure = Figure(figsize=(2.0 + 4.6 * float(np.clip(width / height, 0.5, 1.6)), 5.2), layout="constrained")
         axes: Any = figure.add_subplot(projection="3d") if solid else figure.add_subplot()
-        paint_solid(axes, snapshot, values, look) if solid else paint.body(axes, snapshot, values, side, look)
         set_up(axes, box, si)
+        paint_solid(axes, snapshot, values, look) if solid else paint.body(axes, snapshot, values, side, look)
         extend = "both" if FIELDS[field].tail else "neither"
         bar(figure, ScalarMappable(**look), field, si, ax=axes, shrink=0.85, extend=extend)
         figure.savefig(path, dpi=120)
