@@ -192,6 +192,8 @@ class Run:
                     model.step(min(model.dt(), scene.t_end - model.t))
                 except Breakdown as end:
                     self.break_down(end)
+                    if self.series is not None:
+                        self.draw()  # where the method died
                     break
                 if model.t >= self.samples[-1][0] + every - tiny or model.t >= scene.t_end - tiny:
                     self.sample()

@@ -16,7 +16,7 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,7 @@ class Look:
 
     box : (2, gdim), the part of the plane or of space that is shown (m). side : width of the dots of points that tell no size (m).
     si : whether units are written. clock : unit of t: ``s``, ``load factor`` or empty. bodies : their names, for ``region``.
+    shape : width against height of the pictures that PyVista made.
     """
 
     field: str
@@ -68,6 +69,7 @@ class Look:
     si: bool = True
     clock: str = ""
     bodies: tuple[str, ...] = ()
+    shape: float = 0.0
 
     @property
     def solid(self) -> bool:
@@ -76,7 +78,9 @@ class Look:
     @property
     def ratio(self) -> float:
         """Width of a picture against its height."""
-        return 10.0 / 7.0 if self.solid else float(np.divide(*np.ptp(self.box, axis=0)))
+        if self.solid:
+            return self.shape or 4.0 / 3.0
+        return float(np.divide(*np.ptp(self.box, axis=0)))
 
     @property
     def colours(self) -> dict[str, Any]:
@@ -153,7 +157,7 @@ def stamps(t: Array, clock: str) -> list[str]:
     if clock == "s" and last < 0.02:
         prefix, factor = ("m", 1e3) if last >= 2e-5 else ("µ", 1e6)
     step = float(np.diff(t).mean()) * factor if len(t) > 1 else 1.0
-    digits = int(np.clip(math.ceil(-math.log10(step)), 0, 6)) if step > 0 else 3
+    digits = int(np.clip(math.ceil(-math.log10(0.2 * step)), 0, 6)) if step > 0 else 3
     unit = f" {prefix}{clock}" if clock == "s" else ""
     name = "load factor" if clock == "load factor" else "t"
     texts = [f"{x * factor:.{digits}f}" for x in t]
@@ -274,11 +278,11 @@ def pages(frames: Frames, look: Look, words: Mapping[int, str], images: Mapping[
 
 
 # --- PyVista ----------------------------------------------------------------------------------------------------------
-def by_pyvista(
-    folder: Path, out: Path, field: str, span: tuple[float, float], box: Array, si: bool, shown: Sequence[int]
-) -> None:
+def by_pyvista(folder: Path, out: Path, field: str, span: tuple[float, float], box: Array, side: float, si: bool,
+               shown: Sequence[int]) -> None:  # fmt: skip
     """Draw these frames of a body in space into ``out/<number>.png``; in a process of its own only, see ``pictures``."""
     import pyvista
+    from PIL import Image
 
     frames = Frames(folder)
     plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 840))
@@ -286,20 +290,27 @@ def by_pyvista(
     bounds = tuple(box.T.ravel().tolist())
     plotter.add_mesh(pyvista.Box(bounds), opacity=0.0)  # so that the camera sees the same room in all frames
     pictures.look_at(plotter, si, bounds)
+    used = np.zeros((840, 1200), bool)
     for i in shown:
         snapshot = frames[i]
         body = pictures.dataset(snapshot, colouring(snapshot, field), field)
-        pictures.add_body(plotter, body, field, span, name="body", show_scalar_bar=False, reset_camera=False)
-        plotter.screenshot(str(out / f"{i}.png"))
+        pictures.add_body(plotter, body, field, span, side, name="body", show_scalar_bar=False, reset_camera=False)
+        used |= plotter.screenshot(str(out / f"{i}.png"), return_img=True).min(axis=2) < 250
+    rows, columns = (np.flatnonzero(used.any(axis=axis)) for axis in (1, 0))
+    for i in shown:  # what is white in all frames is cut off
+        path = out / f"{i}.png"
+        with Image.open(path) as image:
+            cut = image.crop((int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1))
+        cut.save(path)
+    (out / "done").touch()
 
 
 def in_space(folder: Path, out: Path, look: Look, shown: Sequence[int]) -> dict[int, Path]:
-    """PyVista's pictures by the number of the frame; none if one of them is missing."""
-    job = [look.field, look.span, look.box.tolist(), look.si, list(shown)]
+    """PyVista's pictures by the number of the frame; none if it did not come to its end."""
+    job = [look.field, look.span, look.box.tolist(), look.side, look.si, list(shown)]
     seconds = pictures.LIMIT + PATIENCE * len(shown) * (pictures.LIMIT >= 1.0)
     pictures.apart("geofem.study.film", folder, out, json.dumps(job), seconds=seconds)
-    made = {i: out / f"{i}.png" for i in shown}
-    return made if all(path.exists() for path in made.values()) else {}
+    return {i: out / f"{i}.png" for i in shown} if (out / "done").exists() else {}
 
 
 # --- the film ---------------------------------------------------------------------------------------------------------
@@ -409,7 +420,12 @@ def made_of(frames: Frames, folder: Path, field: str, scene: Scene | None, asked
     caption = title(FIELDS[field].title, si)
     with tempfile.TemporaryDirectory() as rendered:
         images = in_space(folder, Path(rendered), look, shown) if look.solid else {}
-        stills = sheet(frames, look, {i: words[i] for i in some}, images, folder / "pictures" / "stills.png")
+        if images:
+            height, width = imread(images[shown[0]]).shape[:2]
+            look = replace(look, shape=width / height)
+        stills = sheet(
+            frames, look, dict(zip(some, stamps(frames.t[some], look.clock))), images, folder / "pictures" / "stills.png"
+        )
         bar = tqdm(pages(frames, look, words, images, heading), total=len(shown), file=sys.stderr, desc="film", leave=False,
                    mininterval=0.5, bar_format="{desc} {percentage:3.0f}% |{bar:30}| t left {remaining}",
                    disable=not progress)  # fmt: skip
@@ -424,5 +440,5 @@ def made_of(frames: Frames, folder: Path, field: str, scene: Scene | None, asked
 
 
 if __name__ == "__main__":
-    field_, span_, box_, si_, shown_ = json.loads(sys.argv[3])
-    by_pyvista(Path(sys.argv[1]), Path(sys.argv[2]), field_, tuple(span_), np.array(box_), si_, shown_)
+    field_, span_, box_, *rest = json.loads(sys.argv[3])
+    by_pyvista(Path(sys.argv[1]), Path(sys.argv[2]), field_, tuple(span_), np.array(box_), *rest)

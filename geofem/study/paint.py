@@ -154,6 +154,8 @@ def bounds(snapshot: Snapshot, side: float = 0.0) -> Array:
         room = 0.25 * np.ptp(most, axis=0).max()
         stray = np.array([most[0] - box[0] > room, box[1] - most[1] > room])
         box = np.where(stray, most, box)
+        if is_solid(snapshot) and "edges" in snapshot:
+            side = float(np.abs(np.reshape(snapshot["edges"], (-1, 3, 3))).sum(axis=1).max()) / 0.6
         if around is None:
             box += [[-0.6 * side], [0.6 * side]]
     return box
@@ -166,12 +168,15 @@ def is_solid(snapshot: Snapshot) -> bool:
 
 
 def room(boxes: Array, rigid: list[Array]) -> Array:
-    """One box (2, gdim) for all pictures: around the bodies, with a margin, and as much of the rigid ones as fits beside them."""
+    """One box (2, gdim) for all pictures: around the bodies, with a margin, and what fits beside them of the rigid ones."""
     low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
     size = (high - low).max() or 1.0
     a, b = low.copy(), high.copy()
     for part in rigid:
         a = np.minimum(a, np.maximum(part.min(axis=0), low - 0.12 * size))
         b = np.maximum(b, np.minimum(part.max(axis=0), high + 0.12 * size))
+    if len(a) == 3:
+        step = 10.0 ** np.floor(np.log10(size)) / 5.0  # round numbers, which the corners of the axes will bear
+        return np.array([np.floor(a / step + 1e-6), np.ceil(b / step - 1e-6)]) * step
     thin = np.maximum(size / 8.0 - (b - a), 0.0) / 2.0  # no strip is drawn that is longer than eight times its height
     return np.array([a - thin - 0.03 * size, b + thin + 0.03 * size])

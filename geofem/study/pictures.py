@@ -125,19 +125,21 @@ def dataset(snapshot: Snapshot, values: Array, words: str) -> Any:
     return body
 
 
-def add_body(plotter: Any, body: Any, words: str, span: tuple[float, float], **options: Any) -> None:
-    """Draw what ``dataset`` made: cells with their edges, points as small balls."""
-    dots = {"style": "points", "point_size": 6, "render_points_as_spheres": True}
+def add_body(plotter: Any, body: Any, words: str, span: tuple[float, float], side: float, **options: Any) -> None:
+    """Draw what ``dataset`` made: cells with their edges, points as balls about ``side`` (m) wide."""
+    pixels = float(np.clip(700.0 * side / (body.length or 1.0), 4.0, 40.0))
+    dots = {"style": "points", "point_size": pixels, "render_points_as_spheres": True}
     cells = {"show_edges": body.n_cells < 20_000, "ambient": 0.3, "edge_opacity": 0.3}
     of_points = body.n_cells == body.n_points
     plotter.add_mesh(body, scalars=words, cmap=COLOURS, clim=span, **(dots if of_points else cells), **options)
 
 
-def look_at(plotter: Any, si: bool, bounds: Any = None) -> None:
-    """Axes with labels around the body, or around ``bounds``, seen from the front, a little from the right and above."""
+def look_at(plotter: Any, si: bool, bounds: Any) -> None:
+    """Axes with labels around ``bounds``, seen from the front, a little from the right and above."""
+    sides = np.ptp(np.reshape(bounds, (3, 2)), axis=1)
     names = {f"{axis}title": title(f"{axis} (m)", si) for axis in "xyz"}
-    labels = {f"n_{axis}labels": 3 for axis in "xyz"}
-    plotter.show_bounds(bounds=bounds, color="black", font_size=24, location="outer", fmt="%.3g", **names, **labels)
+    labels = {f"n_{axis}labels": 3 if side > 0.4 * sides.max() else 2 for axis, side in zip("xyz", sides)}
+    plotter.show_bounds(bounds=bounds, color="black", font_size=20, location="outer", fmt="%.3g", **names, **labels)
     plotter.view_vector((0.6, -1.2, 0.5), viewup=(0, 0, 1))
 
 
@@ -152,8 +154,10 @@ def by_pyvista(snapshot: Snapshot, path: Path, field: str, si: bool = True) -> N
     plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 840))
     plotter.set_background("white")
     options = {"title_font_size": 28, "label_font_size": 26, "color": "black", "fmt": "%.3g", "width": 0.6, "position_x": 0.2}
-    add_body(plotter, dataset(snapshot, values / factor, words), words, limits(values / factor, field), scalar_bar_args=options)
-    look_at(plotter, si)
+    body = dataset(snapshot, values / factor, words)
+    side = paint.spacing(snapshot) if str(snapshot["cell"]) == "vertex" else 0.0
+    add_body(plotter, body, words, limits(values / factor, field), side, scalar_bar_args=options)
+    look_at(plotter, si, body.bounds)
     plotter.screenshot(str(path))
 
 
