@@ -11,11 +11,9 @@ from __future__ import annotations
 import json
 import logging
 import math
-import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -36,13 +34,12 @@ from geofem.study import paint, pictures
 from geofem.study.chart import STYLE
 from geofem.study.fields import FIELDS, Array, Snapshot, available, colouring, limits, title
 from geofem.study.frames import Frames
+from geofem.study.video import encode
 
 log = logging.getLogger("geofem")
 SECONDS = 6.0, 10.0
 """A film lasts between these, but for the pause on its last frame, and no shorter than its frames allow at ``FPS``."""
 FPS = 4.0, 20.0
-PAUSE = 0.8
-"""Seconds that the last frame stands."""
 STILLS = 6
 DPI = 100
 BODIES = ("#0072B2", "#F0C04A", "#882255", "#8FC9E8", "#D55E00", "#B5B5B5", "#009E73", "#E8B7D4")
@@ -141,7 +138,8 @@ def survey(frames: Frames, shown: Sequence[int], field: str, scene: Scene | None
         if not FIELDS[field].tail:
             low, high = (min(low, least) if FIELDS[field].signed else 0.0), float(most)
         span = (low, high) if high > low else (low, low + 1.0)
-    beyond = (least < span[0] - 1e-9 * abs(span[1] - span[0]), most > span[1] * (1 + 1e-9))
+    tiny = 1e-9 * (span[1] - span[0])
+    beyond = (bool(least < span[0] - tiny), bool(most > span[1] + tiny))
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
     if field == "region":
         extend = "neither"
@@ -156,7 +154,7 @@ def stamps(t: Array, clock: str) -> list[str]:
     prefix, factor = "", 1.0
     if clock == "s" and last < 0.02:
         prefix, factor = ("m", 1e3) if last >= 2e-5 else ("µ", 1e6)
-    step = float(np.diff(t).mean()) * factor if len(t) > 1 else 1.0
+    step = float(np.median(np.diff(t))) * factor if len(t) > 1 else 1.0
     digits = int(np.clip(math.ceil(-math.log10(0.2 * step)), 0, 6)) if step > 0 else 3
     unit = f" {prefix}{clock}" if clock == "s" else ""
     name = "load factor" if clock == "load factor" else "t"
@@ -314,61 +312,6 @@ def in_space(folder: Path, out: Path, look: Look, shown: Sequence[int]) -> dict[
 
 
 # --- the film ---------------------------------------------------------------------------------------------------------
-def ffmpeg() -> str:
-    """The program that encodes. Raises ``Mistake`` if there is none."""
-    try:
-        import imageio_ffmpeg
-
-        return imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError, OSError):
-        raise Mistake("film: there is no ffmpeg; 'uv sync' brings it, or name one in IMAGEIO_FFMPEG_EXE") from None
-
-
-def encode(images: Iterable[Array], fps: float, path: Path) -> Path:
-    """Write the images, (height, width, 3) of bytes and even sizes, as H.264 that every browser plays.
-
-    Raises ``Mistake`` if ffmpeg cannot; an earlier film then stays as it was.
-    """
-    stream = iter(images)
-    image = next(stream)
-    part = path.with_name(f"{path.stem}.part{path.suffix}")
-    height, width = image.shape[:2]
-    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps:.4g}", "-i", "-"]
-    # Colours of high-definition video, said in the file, or players would shift them.
-    colours = ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709", "-color_primaries", "bt709",
-               "-color_trc", "bt709"]  # fmt: skip
-    codec = ["-c:v", "libx264", "-preset", "medium", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    command = [ffmpeg(), "-y", "-v", "error", *source, "-an", *colours, *codec, str(part)]
-    try:
-        with tempfile.TemporaryFile() as said:
-            with (
-                suppress(BrokenPipeError),  # ffmpeg has ended, and said why
-                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said) as process,
-            ):
-                assert process.stdin is not None
-                try:
-                    process.stdin.write(image)
-                    for image in stream:
-                        process.stdin.write(image)
-                    for _ in range(round(PAUSE * fps)):
-                        process.stdin.write(image)
-                except BrokenPipeError:
-                    raise
-                except BaseException:
-                    process.kill()
-                    raise
-            said.seek(0)
-            why = said.read().decode(errors="replace").strip().splitlines()
-        if process.wait() != 0:
-            raise Mistake(f"film: ffmpeg ended with {process.returncode}: {why[-1] if why else 'no message'}")
-        part.replace(path)
-    except OSError as error:
-        raise Mistake(f"film: {error}; 'uv sync' brings an ffmpeg that works") from None
-    finally:
-        part.unlink(missing_ok=True)
-    return path
-
-
 def pace(count: int) -> tuple[list[int], float]:
     """Which of so many frames the film shows, and how many a second."""
     shown = np.unique(np.linspace(0, count - 1, min(count, round(SECONDS[1] * FPS[1]))).round().astype(int))
