@@ -65,7 +65,9 @@ def parser() -> argparse.ArgumentParser:
     one.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     one.add_argument("--petsc", metavar="OPTIONS", help='options for PETSc, with the equals sign: --petsc="-log_view"')
     one.add_argument("--log", choices=("debug", "info", "warning", "error"), default="warning", help="what to tell on stderr")
-    one.add_argument("--frames", type=int, default=0, metavar="N", help="write the fields at N times to --out, for ParaView")
+    one.add_argument(
+        "--frames", type=int, default=0, metavar="N", help="write the fields at N times to --out, for ParaView and the film"
+    )
     one.add_argument("--quiet", action="store_true", help="no progress bar")
 
     many = command(
@@ -85,8 +87,11 @@ def parser() -> argparse.ArgumentParser:
     advice.add_argument("--budget", choices=("cpu", "rss", "dofs"), default="cpu", help="what is to be cheap")
     keep(advice, "where earlier results are")
 
-    page = command(view, "view", "write one self-contained report.html from results")
+    page = command(view, "view", "write one self-contained report.html from results, and a film of a run with frames")
     page.add_argument("folder", type=Path, metavar="DIR")
+    page.add_argument("--field", metavar="NAME", help="what colours the film: displacement, speed, mean_stress, von_mises, ...")
+    page.add_argument("--film", action=argparse.BooleanOptionalAction, help="insist on a film of the run, or make none (default: "
+                      "film.mp4 if the run left frames)")  # fmt: skip
 
     command(doctor_, "doctor", "what this machine lacks, and the one line that mends it")
     return top
@@ -182,7 +187,10 @@ def recommend(args: argparse.Namespace) -> int:
 def view(args: argparse.Namespace) -> int:
     from geofem.study import report
 
-    print(report.write(args.folder))
+    if args.field and args.film is False:
+        raise Mistake("--field colours the film; leave out --no-film")
+    wanted = True if args.field else args.film
+    print(report.write(args.folder, shown=args.field, film=wanted, progress=sys.stderr.isatty()))
     return OK
 
 

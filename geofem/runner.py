@@ -172,6 +172,7 @@ class Run:
                         bar_format="{desc} {percentage:3.0f}% |{bar:30}| t left {remaining} {postfix}",
                         disable=not progress or self.comm.rank != 0)  # fmt: skip
         self.every_frame = scene.t_end / frames if frames else math.inf
+        self.drawn = -math.inf
         self.series: io.Series | None = None
         self.fields: io.FieldFile | None = None
 
@@ -192,6 +193,8 @@ class Run:
                     model.step(min(model.dt(), scene.t_end - model.t))
                 except Breakdown as end:
                     self.break_down(end)
+                    if self.series is not None and model.t > self.drawn:
+                        self.draw()  # where the method died
                     break
                 if model.t >= self.samples[-1][0] + every - tiny or model.t >= scene.t_end - tiny:
                     self.sample()
@@ -226,6 +229,7 @@ class Run:
             resumed = self.model.t if self.model.t > 0.0 else None
             self.series = io.Series(self.folder / "fields.pvd", resumed)
             self.fields = io.FieldFile(self.folder / "fields.bp", functions, resumed) if functions else None
+        self.drawn = self.model.t
         self.series.write(self.model.t, self.model.snapshot())
         if self.fields is not None:
             self.fields.write(self.model.t)

@@ -133,6 +133,19 @@ def test_a_resumed_series_keeps_the_pictures_up_to_the_checkpoint(tmp_path: Path
     assert [row[0] for row in read_back(tmp_path / "fields.pvd")] == [0.0, 0.25, 0.4]
 
 
+def test_domains_of_points_are_kept_by_the_points_and_rigid_bodies_beside_them(tmp_path: Path) -> None:
+    more = {"edges": np.arange(12.0).reshape(3, 4), "corners": np.arange(24.0).reshape(3, 8), "region": np.array([0, 0, 1])}
+    rigid = np.array([[0.0, 0.0], [1.0, 0.0], [np.nan, np.nan], [2.0, 2.0]])
+    series = io.Series(tmp_path / "fields.pvd")
+    series.write(0.0, GRAINS | more | {"rigid": rigid})
+    series.write(0.5, GRAINS | more | {"rigid": rigid[:3], "name": "three rows of rigid are no field of three points"})
+    ((*_, first, _), (*_, second, _)) = read_back(tmp_path / "fields.pvd")
+    assert first == second == ["corners", "density", "displacement", "edges", "region"]
+    assert np.array_equal(np.load(tmp_path / "fields_00000.npz")["rigid"], rigid, equal_nan=True)
+    io.Series(tmp_path / "fields.pvd").write(0.0, GRAINS)
+    assert not (tmp_path / "fields_00000.npz").exists()  # that of an earlier run
+
+
 def test_a_fresh_series_forgets_an_older_one(tmp_path: Path) -> None:
     for t in (0.0, 0.1):
         series = io.Series(tmp_path / "fields.pvd")

@@ -22,7 +22,7 @@ from mpi4py import MPI
 
 from geofem.core.mpi import on_root
 from geofem.mistake import Mistake
-from geofem.result import replace_text
+from geofem.result import replace_text, write_npz
 
 NODAL = ("displacement", "velocity")
 
@@ -46,16 +46,20 @@ class Series:
         """Add a picture: a ``snapshot`` of a model, see ``Result``; an empty one, as on ranks other than 0, is passed over.
 
         A field with a row for each point is drawn at the points, one with a row for each cell in the cells. If there are as
-        many cells as points, only displacements and velocities, and all fields of particles, are drawn at the points.
+        many cells as points, only displacements and velocities, and all fields of particles, are drawn at the points. So are the
+        domains of particles, ``edges`` and ``corners``, which a film draws, see ``geofem.study.paint``. The outlines of
+        ``rigid`` bodies belong to no point or cell: they stand in an .npz beside the .vtu.
         """
         if not snapshot:
             return
         import meshio
 
         points, cells, kind = snapshot["points"], np.asarray(snapshot["cells"]), str(snapshot["cell"])
-        fields = {k: np.asarray(v) for k, v in snapshot.items() if k not in ("points", "cells", "cell")}
+        fields = {k: np.asarray(v) for k, v in snapshot.items() if k not in ("points", "cells", "cell", "rigid")}
         at_points, in_cells = {}, {}
         for name, values in fields.items():
+            if values.ndim == 0:
+                continue
             if values.ndim == 2 and values.shape[1] == 2:
                 values = np.pad(values, ((0, 0), (0, 1)))  # VTK's vectors have three components
             if len(values) == len(points) and (len(points) != len(cells) or kind == "vertex" or name in NODAL):
@@ -65,6 +69,11 @@ class Series:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         file = f"{self.path.stem}_{len(self.entries):05d}.vtu"
         meshio.Mesh(points, [(kind, cells)], at_points, in_cells).write(self.path.with_name(file))
+        beside = self.path.with_name(file).with_suffix(".npz")
+        if "rigid" in snapshot:
+            write_npz(beside, {"rigid": np.asarray(snapshot["rigid"], float)})
+        else:
+            beside.unlink(missing_ok=True)
         self.entries.append((t, file))
         rows = "".join(f'<DataSet timestep="{t!r}" file="{file}"/>\n' for t, file in self.entries)
         replace_text(self.path, f'<VTKFile type="Collection" version="0.1"><Collection>\n{rows}</Collection></VTKFile>\n')

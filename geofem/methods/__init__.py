@@ -35,7 +35,12 @@ class Model(Protocol):
         """Relative drifts of ``mass``, ``momentum``, ``volume`` since the start (None where it has no meaning)."""
 
     def snapshot(self) -> dict[str, Any]:
-        """``points`` (n, 3), ``cells``, ``cell`` (shape), ``displacement`` (n, gdim), and fields; on rank 0 only."""
+        """``points`` (n, 3), ``cells``, ``cell`` (shape), ``displacement`` (n, gdim), and fields; on rank 0 only.
+
+        Pictures and films draw these where they are there: ``velocity`` (n, gdim), ``stress`` (n or cells, 4 or 6), ``pressure``,
+        ``plastic_strain``, ``region`` (a number each), and of material points and rigid bodies ``edges``, ``corners``, ``volume``
+        and ``rigid``, see ``geofem.study.paint``.
+        """
 
     def functions(self) -> list[Any]:
         """The present fields as dolfinx functions of one element on one mesh, for VTX files; none for particles."""

@@ -9,62 +9,53 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.collections import PolyCollection
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from geofem.result import Result
+from geofem.study import paint
 from geofem.study.chart import STYLE
+from geofem.study.fields import FIELDS, TITLES, Array, Snapshot, available, colouring, limits, prefixed, title
+from geofem.study.paint import is_solid
 
 CELL_TYPES = {"tetra": 10, "hexahedron": 12, "tetra10": 24, "hexahedron20": 25, "hexahedron27": 29}
 """meshio's names and VTK's numbers (vtkCellType.h)."""
-CORNERS = {"triangle": (0, 1, 2), "triangle6": (0, 3, 1, 4, 2, 5), "quad": (0, 1, 2, 3), "quad8": (0, 4, 1, 5, 2, 6, 3, 7),
-           "quad9": (0, 4, 1, 5, 2, 6, 3, 7)}  # fmt: skip
-"""The nodes around a cell, with those in the middle of its sides where it has them."""
 FACES = {"tetra": ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)),
          "hexahedron": ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))}  # fmt: skip
+HEXAHEDRON = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]])
 COLOURS = "viridis"
 LIMIT = 60.0
 """Seconds that PyVista may take."""
-
-Snapshot = Mapping[str, Any]
-
-
-def colouring(snapshot: Snapshot, field: str) -> np.ndarray:
-    """One number per point or cell: the length of ``displacement`` (m), or the ``mean_stress`` (Pa, compression negative)."""
-    if field == "mean_stress":
-        return np.asarray(snapshot["stress"], float)[:, :3].mean(axis=1)
-    return np.linalg.norm(snapshot["displacement"], axis=1)
-
-
-def limits(values: np.ndarray, field: str) -> tuple[float, float]:
-    """What the colours span; a stress leaves out 2 % at either end, as it grows without bound at corners."""
-    low, high = np.percentile(values, (2, 98) if field == "mean_stress" else (0, 100))
-    return float(low), float(high if high > low else low + 1e-12)
-
-
-TITLES = {"displacement": "displacement magnitude (m)", "mean_stress": "mean stress (Pa)"}
-"""What can be drawn of a snapshot; the mean stress where it holds the ``stress``."""
-
-
-def title(words: str, si: bool) -> str:
-    """A label that ends with its unit, or without it for a dimensionless scene."""
-    return words if si else words.rpartition(" (")[0]
+PICTURED = ("displacement", "mean_stress")
+"""What the report draws of a run's end."""
 
 
 def fields(snapshot: Snapshot) -> list[str]:
-    """What can be drawn of this snapshot."""
-    return [field for field, needed in (("displacement", "displacement"), ("mean_stress", "stress")) if needed in snapshot]
+    """What the report draws of this snapshot."""
+    return [field for field in available(snapshot) if field in PICTURED]
 
 
-def is_solid(snapshot: Snapshot) -> bool:
-    return np.asarray(snapshot["displacement"]).shape[1] == 3
+def bar(figure: Figure, mappable: Any, field: str, si: bool, **options: Any) -> Any:
+    """A colour bar with its title; stresses in kPa or MPa where they are large."""
+    largest = float(np.abs(mappable.get_clim()).max())
+    words, factor = prefixed(TITLES[field], largest) if si else (title(TITLES[field], si), 1.0)
+    drawn = figure.colorbar(mappable, label=words, **options)
+    if factor != 1.0:
+
+        def in_units(value: float, _: int) -> str:
+            return f"{value / factor:g}".replace("-", "\N{MINUS SIGN}")
+
+        drawn.ax.yaxis.set_major_formatter(FuncFormatter(in_units))
+        drawn.ax.xaxis.set_major_formatter(FuncFormatter(in_units))
+    return drawn
 
 
 # --- Matplotlib -------------------------------------------------------------------------------------------------------
@@ -77,103 +68,116 @@ def outer_faces(cells: np.ndarray, cell: str) -> tuple[np.ndarray, np.ndarray]:
     return faces[first[count == 1]], owner[first[count == 1]]
 
 
-def draw_plane(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str, si: bool) -> Any:
-    points = np.asarray(snapshot["points"])[:, :2]
-    axes = figure.subplots()
-    if cell == "vertex":
-        # Dots of about the distance between neighbouring points, as they lie in a square of the same number.
-        dots = np.clip(3e4 / len(points), 2.0, 60.0)
-        drawn: Any = axes.scatter(*points.T, c=values, s=dots, cmap=COLOURS, linewidths=0)
-    else:
-        around = np.asarray(snapshot["cells"])[:, list(CORNERS[cell])]
-        if len(values) == len(points):
-            fans = [around[:, [0, i, i + 1]] for i in range(1, around.shape[1] - 1)]
-            drawn = axes.tripcolor(*points.T, values, triangles=np.concatenate(fans), shading="gouraud", cmap=COLOURS)
-        else:
-            drawn = axes.add_collection(PolyCollection(points[around], array=values, cmap=COLOURS))
-        if len(around) < 1500:
-            axes.add_collection(PolyCollection(points[around], facecolor="none", edgecolor="#00000066", linewidth=0.6))
-        axes.autoscale_view()
-    axes.set_aspect("equal")
-    axes.set_xlabel(title("x (m)", si))
-    axes.set_ylabel(title("y (m)", si))
-    return drawn
-
-
-def draw_solid(figure: Figure, snapshot: Snapshot, values: np.ndarray, cell: str, si: bool) -> Any:
+def paint_solid(axes: Any, snapshot: Snapshot, values: Array, look: dict[str, Any]) -> list[Any]:
+    """Draw a body in space into axes of three dimensions; returns what was added to them. look : ``cmap``, ``norm``."""
     points = np.asarray(snapshot["points"])
-    axes: Any = figure.add_subplot(projection="3d")
-    if cell == "vertex":
-        drawn = axes.scatter(*points.T, c=values, s=6, cmap=COLOURS, linewidths=0)
-    else:
-        faces, owner = outer_faces(np.asarray(snapshot["cells"]), cell)
-        shown = values[faces].mean(axis=1) if len(values) == len(points) else values[owner]
-        drawn = axes.add_collection3d(
-            Poly3DCollection(points[faces], array=shown, cmap=COLOURS, edgecolor="#00000055", linewidth=0.4)
-        )
-        axes.auto_scale_xyz(*points.T)
+    if str(snapshot["cell"]) == "vertex":
+        return [axes.scatter(*points.T, c=values, s=6, linewidths=0, **look)]
+    faces, owner = outer_faces(np.asarray(snapshot["cells"]), str(snapshot["cell"]))
+    shown = values[faces].mean(axis=1) if len(values) == len(points) else values[owner]
+    return [axes.add_collection3d(Poly3DCollection(points[faces], array=shown, edgecolor="#00000055", linewidth=0.4, **look))]
+
+
+def set_up(axes: Any, box: Array, si: bool) -> None:
+    """Fix what part of the plane, or of space, the axes show, box : (2, gdim), and label them."""
+    for axis, low, high in zip("xyz", *box):
+        getattr(axes, f"set_{axis}lim")(low, high)
+        getattr(axes, f"set_{axis}label")(title(f"{axis} (m)", si))
     axes.set_aspect("equal")
-    axes.set_xlabel(title("x (m)", si))
-    axes.set_ylabel(title("y (m)", si))
-    axes.set_zlabel(title("z (m)", si))
-    axes.locator_params(nbins=4)
-    return drawn
+    if box.shape[1] == 3:
+        axes.locator_params(nbins=4)
 
 
 def by_matplotlib(snapshot: Snapshot, path: Path, field: str, si: bool) -> None:
     """Draw the body with Matplotlib into a PNG file."""
     values = colouring(snapshot, field)
+    solid = is_solid(snapshot)
+    side = paint.spacing(snapshot) if str(snapshot["cell"]) == "vertex" else 0.0
+    box = paint.room(paint.bounds(snapshot, side)[None], paint.polygons(snapshot))
+    look: dict[str, Any] = {"cmap": COLOURS, "norm": Normalize(*limits(values, field))}
     with matplotlib.rc_context(STYLE | {"font.size": 13}):
-        width, height = np.ptp(np.asarray(snapshot["points"])[:, :2], axis=0) if not is_solid(snapshot) else (1.0, 1.0)
-        figure = Figure(figsize=(2.0 + 4.6 * float(np.clip(width / (height or 1.0), 0.5, 1.6)), 5.2), layout="constrained")
-        draw = draw_solid if is_solid(snapshot) else draw_plane
-        drawn = draw(figure, snapshot, values, str(snapshot["cell"]), si)
-        drawn.set_clim(*limits(values, field))
-        extend = "both" if field == "mean_stress" else "neither"
-        figure.colorbar(drawn, ax=figure.axes[0], label=title(TITLES[field], si), shrink=0.85, extend=extend)
+        width, height = (1.0, 1.0) if solid else np.ptp(box, axis=0)
+        figure = Figure(figsize=(2.0 + 4.6 * float(np.clip(width / height, 0.5, 1.6)), 5.2), layout="constrained")
+        axes: Any = figure.add_subplot(projection="3d") if solid else figure.add_subplot()
+        set_up(axes, box, si)
+        paint_solid(axes, snapshot, values, look) if solid else paint.body(axes, snapshot, values, side, look)
+        extend = "both" if FIELDS[field].tail else "neither"
+        bar(figure, ScalarMappable(**look), field, si, ax=axes, shrink=0.85, extend=extend)
         figure.savefig(path, dpi=120)
 
 
 # --- PyVista ----------------------------------------------------------------------------------------------------------
-def by_pyvista(snapshot: Snapshot, path: Path, field: str) -> None:
+def dataset(snapshot: Snapshot, values: Array, words: str) -> Any:
+    """The body as PyVista takes it, with its values under ``words``; material points with ``edges`` (n, 9) as their domains."""
+    import pyvista
+
+    points = np.asarray(snapshot["points"], float)
+    cell = str(snapshot["cell"])
+    if cell == "vertex" and "edges" in snapshot:
+        half = np.asarray(snapshot["edges"], float).reshape(-1, 3, 3)
+        points = (points[:, None] + HEXAHEDRON @ half).reshape(-1, 3)
+        body = pyvista.UnstructuredGrid({12: np.arange(len(points)).reshape(-1, 8)}, points)
+    elif cell == "vertex":
+        body = pyvista.PolyData(points)
+    else:
+        body = pyvista.UnstructuredGrid({CELL_TYPES[cell]: np.asarray(snapshot["cells"])}, points)
+    (body.point_data if len(values) == body.n_points else body.cell_data)[words] = values
+    return body
+
+
+def add_body(plotter: Any, body: Any, words: str, span: tuple[float, float], side: float, **options: Any) -> None:
+    """Draw what ``dataset`` made: cells with their edges, points as balls about ``side`` (m) wide."""
+    pixels = float(np.clip(700.0 * side / (body.length or 1.0), 4.0, 40.0))
+    dots = {"style": "points", "point_size": pixels, "render_points_as_spheres": True}
+    cells = {"show_edges": body.n_cells < 20_000, "ambient": 0.3, "edge_opacity": 0.3}
+    of_points = body.n_cells == body.n_points
+    plotter.add_mesh(body, scalars=words, cmap=COLOURS, clim=span, **(dots if of_points else cells), **options)
+
+
+def look_at(plotter: Any, si: bool, bounds: Any) -> None:
+    """Axes with labels around ``bounds``, seen from the front, a little from the right and above."""
+    sides = np.ptp(np.reshape(bounds, (3, 2)), axis=1)
+    names = {f"{axis}title": title(f"{axis} (m)", si) for axis in "xyz"}
+    labels = {f"n_{axis}labels": 3 if side > 0.4 * sides.max() else 2 for axis, side in zip("xyz", sides)}
+    plotter.show_bounds(bounds=bounds, color="black", font_size=20, location="outer", fmt="%.3g", **names, **labels)
+    plotter.view_vector((0.6, -1.2, 0.5), viewup=(0, 0, 1))
+
+
+def by_pyvista(snapshot: Snapshot, path: Path, field: str, si: bool = True) -> None:
     """Draw a solid with PyVista into a PNG file; in a process of its own only, see the module's docstring."""
     import pyvista
 
-    cell = str(snapshot["cell"])
-    points = np.asarray(snapshot["points"], float)
     values = colouring(snapshot, field)
-    if cell == "vertex":
-        body = pyvista.PolyData(points)
-    else:
-        cells = np.asarray(snapshot["cells"])
-        body = pyvista.UnstructuredGrid({CELL_TYPES[cell]: cells}, points)
-    (body.point_data if len(values) == len(points) else body.cell_data)[TITLES[field]] = values
+    words, factor = (
+        prefixed(TITLES[field], float(np.abs(limits(values, field)).max())) if si else (title(TITLES[field], si), 1.0)
+    )
     plotter = pyvista.Plotter(off_screen=True, window_size=(1200, 840))
     plotter.set_background("white")
-    dots = (
-        {"style": "points", "point_size": 6, "render_points_as_spheres": True}
-        if cell == "vertex"
-        else {"show_edges": True, "ambient": 0.3}
-    )
-    bar = {"title_font_size": 28, "label_font_size": 26, "color": "black", "fmt": "%.3g", "width": 0.6, "position_x": 0.2}
-    plotter.add_mesh(
-        body, scalars=TITLES[field], cmap=COLOURS, clim=limits(values, field), scalar_bar_args=bar, edge_opacity=0.3, **dots
-    )
-    names = {f"{axis}title": f"{axis} (m)" for axis in "xyz"}
-    labels = {f"n_{axis}labels": 3 for axis in "xyz"}
-    plotter.show_bounds(color="black", font_size=24, location="outer", fmt="%.3g", **names, **labels)
-    plotter.view_vector((0.6, -1.2, 0.5), viewup=(0, 0, 1))
+    options = {"title_font_size": 28, "label_font_size": 26, "color": "black", "fmt": "%.3g", "width": 0.6, "position_x": 0.2}
+    body = dataset(snapshot, values / factor, words)
+    side = paint.spacing(snapshot) if str(snapshot["cell"]) == "vertex" else 0.0
+    add_body(plotter, body, words, limits(values / factor, field), side, scalar_bar_args=options)
+    look_at(plotter, si, body.bounds)
     plotter.screenshot(str(path))
 
 
-def by_pyvista_apart(folder: Path, path: Path, field: str) -> bool:
+def apart(module: str, *words: Any, seconds: float) -> bool:
+    """Run a module of this package with PyVista in a process of its own; False if that failed or took too long."""
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    # Without a screen VTK tries X first, and some of its versions end the process there.
+    environment.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    command = [sys.executable, "-m", module, *map(str, words)]
+    try:
+        subprocess.run(command, env=environment, capture_output=True, timeout=seconds, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return False
+    return True
+
+
+def by_pyvista_apart(folder: Path, path: Path, field: str, si: bool = True) -> bool:
     """Draw with PyVista in a process of its own; False if that brought no picture."""
     path.unlink(missing_ok=True)
-    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
-    command = [sys.executable, "-m", "geofem.study.pictures", str(folder), str(path), field]
-    try:
-        subprocess.run(command, env=environment, capture_output=True, timeout=LIMIT, check=True)
-    except (OSError, subprocess.SubprocessError):
+    if not apart("geofem.study.pictures", folder, path, field, "si" if si else "bare", seconds=LIMIT):
         path.unlink(missing_ok=True)
         return False
     return path.exists()
@@ -187,10 +191,10 @@ def draw(folder: Path, path: Path, field: str = "displacement", si: bool = True)
     """
     snapshot = Result.load(folder).snapshot
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not (is_solid(snapshot) and by_pyvista_apart(folder, path, field)):
+    if not (is_solid(snapshot) and by_pyvista_apart(folder, path, field, si)):
         by_matplotlib(snapshot, path, field, si)
     return path
 
 
 if __name__ == "__main__":
-    by_pyvista(Result.load(Path(sys.argv[1])).snapshot, Path(sys.argv[2]), sys.argv[3])
+    by_pyvista(Result.load(Path(sys.argv[1])).snapshot, Path(sys.argv[2]), sys.argv[3], sys.argv[4] == "si")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import inspect
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,8 +14,10 @@ import jinja2
 from markupsafe import Markup, escape
 
 from geofem import scenes
+from geofem.mistake import Mistake
 from geofem.result import Result, replace_text
-from geofem.study import chart, pictures, rows
+from geofem.scene import Scene
+from geofem.study import chart, film, pictures, rows
 from geofem.study.rows import Row
 
 CHOICES_HEAD = ("method", "after the step the mesh is", "state lives", "approximation space", "dies by")
@@ -38,6 +41,8 @@ CHOICES = {
 MAP_CAPTION = (
     "Each field is a run; the bar is the boundary found by bisection. Hatched fields are runs that broke down, with the cause."
 )
+EMBEDDED = 8_000_000
+"""Bytes of a film at most that stands in the page itself; a larger one is a link to the file beside the page."""
 PICTURES = 6
 """Pictures per problem at most, one for each variant."""
 
@@ -51,6 +56,7 @@ class Section:
     references: list[tuple[str, str, str, str]] = field(default_factory=list)
     charts: list[dict[str, str]] = field(default_factory=list)
     pictures: list[dict[str, str]] = field(default_factory=list)
+    films: list[dict[str, str]] = field(default_factory=list)
     table: list[tuple[bool, tuple[str, ...]]] = field(default_factory=list)
 
     @property
@@ -67,10 +73,19 @@ def scene_text(name: str) -> str:
     return scenes.describe(name) if name in scenes.names() else ""
 
 
+def scene_of(row: Row) -> Scene | None:
+    """The scene that was solved, with the knobs it was made with; None for one of the user's own, which is not run to look."""
+    if row["scene"] not in scenes.names():
+        return None
+    build = scenes.get(row["scene"])
+    known = inspect.signature(build).parameters
+    return build(**{name: value for name, value in (row.get("scene_knobs") or row.get("knobs") or {}).items() if name in known})
+
+
 def has_units(row: Row) -> bool:
     """False for a dimensionless scene; a scene of the user's own is taken to be in SI."""
-    name = row["scene"]
-    return name not in scenes.names() or not scenes.get(name)(**(row.get("scene_knobs") or {})).dimensionless
+    scene = scene_of(row)
+    return scene is None or not scene.dimensionless
 
 
 def paragraphs(text: str) -> list[tuple[str, Markup]]:
@@ -139,6 +154,25 @@ def drawn(folder: Path, row: Row) -> list[dict[str, str]]:
     return made
 
 
+def filmed(folder: Path, row: Row, shown: str | None, asked: bool, progress: bool) -> list[dict[str, str]]:
+    """The film and the stills of a single run as the page takes them; none if it left no frames."""
+    heading = f"{row['scene']} · {rows.label(row)}"
+    made = film.make(folder, shown, scene_of(row), asked=asked, si=has_units(row), heading=heading, progress=progress)
+    if made is None:
+        return []
+    source = size = ""
+    if made.path is not None:
+        raw = made.path.read_bytes()
+        source = made.path.name
+        if len(raw) <= EMBEDDED:
+            source = f"data:video/mp4;base64,{base64.b64encode(raw).decode()}"
+        size = f"{len(raw) / 1e6:.1f} MB"
+    outcome = "" if row["status"] == "ok" else f" The run {row['status']}: {rows.why(row)}."
+    stills = base64.b64encode(made.stills.read_bytes()).decode()
+    words = f"{rows.label(row)}, {rows.step(row)}: {made.caption}."
+    return [{"mp4": source, "size": size, "png": stills, "caption": words + outcome}]
+
+
 def section(folder: Path, title: str, group: Sequence[Row], look: Mapping[str, Any], text: str) -> Section:
     made = Section(title, paragraphs(text))
     for measure in rows.measures(group):
@@ -153,8 +187,11 @@ def section(folder: Path, title: str, group: Sequence[Row], look: Mapping[str, A
     return made
 
 
-def write(folder: Path) -> Path:
-    """Write ``report.html`` for a study, or for a single run with its history; return its path.
+def write(folder: Path, *, shown: str | None = None, film: bool | None = None, progress: bool = False) -> Path:
+    """Write ``report.html`` for a study, or for a single run with its history and, if it left frames, its film; return its path.
+
+    shown : the field that colours the film, by default what tells most. film : False: none is made; True: it must be, and what is
+    missing for it raises ``Mistake``. progress : a line on stderr while the film is made.
 
     Maps that ``geofem stability`` left in the folder are shown as well. Beside the page ``charts`` (SVG and PNG) and
     ``pictures`` (PNG) hold the drawings as files of their own.
@@ -172,6 +209,10 @@ def write(folder: Path) -> Path:
         path = chart.save(chart.history(history), folder / "charts" / "history")
         words = "What the run sampled, against t: time (s) or load factor."
         sections[0].charts.append({"svg": chart.inline(path), "caption": words})
+    if (folder / rows.RESULTS).exists() and film:
+        raise Mistake(f"{folder}: is a study; a film is made of a single run, 'geofem run ... --out DIR --frames 50'")
+    if not (folder / rows.RESULTS).exists() and film is not False:
+        sections[0].films = filmed(folder, found[0], shown, bool(film), progress)
     if maps := sorted((folder / "maps").glob("*.svg")):
         drawings = [{"svg": chart.inline(path), "caption": MAP_CAPTION} for path in maps]
         sections.append(Section("Where methods fail", charts=drawings))
