@@ -82,7 +82,9 @@ METHODS = {
         "geofem.methods.lagrangian:Fem", "finite elements on a mesh that follows the material (total or updated Lagrangian)"
     ),
     "mpm-linear": Entry("geofem.methods.mpm:LinearMpm", "material points with classical hat functions on a background grid"),
-    "mpm-gimp": Entry("geofem.methods.mpm:GimpMpm", "material points with domains: generalised interpolation, uniform or contiguous"),
+    "mpm-gimp": Entry(
+        "geofem.methods.mpm:GimpMpm", "material points with domains: generalised interpolation, uniform or contiguous"
+    ),
     "mpm-cpdi": Entry("geofem.methods.mpm:CpdiMpm", "material points with parallelogram domains that deform with them"),
     "mpm-cpdi2": Entry("geofem.methods.mpm:Cpdi2Mpm", "material points with quadrilateral domains that keep touching"),
     "mpm-bspline": Entry("geofem.methods.mpm:BsplineMpm", "material points with quadratic or cubic B-splines on the grid"),

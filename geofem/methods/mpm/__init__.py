@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from geofem import materials
 from geofem.methods.mpm.model import ExplicitMpm
 from geofem.methods.mpm.passes import SCHEMES
@@ -17,8 +15,10 @@ class Mpm:
     """What all material point methods share; a subclass names its shape functions."""
 
     name = "mpm"
+    kernels = {"": ""}
+    """What the knob ``kernel`` may say -> the shape functions; the first is the default."""
     scheme = "usl"
-    small_mass = 0.0
+    small_mass = 1e-3
 
     def refuses(self, scene: Scene) -> str | None:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
@@ -38,16 +38,13 @@ class Mpm:
             return f"{self.name} is explicit and needs a density in every region"
         return None
 
-    def shape(self) -> str:
-        """The name of the shape functions."""
-        raise NotImplementedError
-
     def build(
         self,
         scene: Scene,
         *,
         n: int = 8,
         ppc: int = 2,
+        kernel: str | None = None,
         transfer: str = "flip",
         flip: float | None = None,
         xpic: int = 2,
@@ -66,6 +63,8 @@ class Mpm:
         """The model of a scene.
 
         n : cells across the scene's length. ppc : points per cell in each direction.
+        kernel : of mpm-gimp uniform (domains keep their size) or contiguous (they stretch with the points); of mpm-bspline
+            quadratic or cubic.
         transfer : flip (the grid's acceleration is added), pic (its velocity is taken), apic (and its gradient: Jiang et al. 2015),
             xpic (flip without what the grid does not see: Hammerquist and Nairn 2017).
         flip : share of flip in its blend with pic: 1 keeps the energy and the noise; by default 1, and 0.99 in a scene without
@@ -85,6 +84,9 @@ class Mpm:
 
         Raises ``Mistake`` for a knob or a material out of range.
         """
+        kernel = kernel or next(iter(self.kernels))
+        if kernel not in self.kernels:
+            raise unknown(f"kernel of {self.name}", kernel, self.kernels)
         scheme = scheme or self.scheme
         if scheme not in SCHEMES:
             raise unknown("scheme", scheme, SCHEMES)
@@ -115,7 +117,7 @@ class Mpm:
         for region in scene.regions:
             materials.check(region.material, f"region {region.name}")
         return ExplicitMpm(
-            scene, shape=self.shape(), n=int(n), ppc=int(ppc), transfer="flip" if transfer == "pic" else transfer,
+            scene, shape=self.kernels[kernel], n=int(n), ppc=int(ppc), transfer="flip" if transfer == "pic" else transfer,
             flip=0.0 if transfer == "pic" else flip, order=int(xpic), scheme=scheme, cfl=cfl, damping=damping,
             small_mass=small_mass, cure=cure == "cell", split=split, load_steps=int(load_steps), passages=passages,
             tolerance=tolerance, sort_after=sort_after, threads=int(threads),
@@ -130,37 +132,31 @@ class LinearMpm(Mpm):
     """
 
     name = "mpm-linear"
+    kernels = {"linear": "hat"}
     scheme = "musl"
-
-    def shape(self) -> str:
-        return "hat"
+    small_mass = 1e-4
 
 
 class GimpMpm(Mpm):
     """``mpm-gimp``: hats averaged over the domain of each point (Bardenhagen & Kober 2004)."""
 
     name = "mpm-gimp"
-
-    def shape(self) -> str:
-        return "gimp"
+    kernels = {"uniform": "gimp", "contiguous": "cpgimp"}
+    small_mass = 0.1
 
 
 class CpdiMpm(Mpm):
     """``mpm-cpdi``: hats interpolated over parallelograms that deform with the points (Sadeghirad, Brannon & Burghardt 2011)."""
 
     name = "mpm-cpdi"
-
-    def shape(self) -> str:
-        return "cpdi"
+    kernels = {"parallelogram": "cpdi"}
 
 
 class Cpdi2Mpm(Mpm):
     """``mpm-cpdi2``: hats interpolated over quadrilaterals that keep touching (Sadeghirad, Brannon & Guilkey 2013)."""
 
     name = "mpm-cpdi2"
-
-    def shape(self) -> str:
-        return "cpdi2"
+    kernels = {"quadrilateral": "cpdi2"}
 
     def refuses(self, scene: Scene) -> str | None:
         return super().refuses(scene) or ("mpm-cpdi2 has quadrilaterals, not hexahedra" if scene.gdim == 3 else None)
@@ -170,6 +166,5 @@ class BsplineMpm(Mpm):
     """``mpm-bspline``: quadratic or cubic B-splines (Steffen, Kirby & Berzins 2008)."""
 
     name = "mpm-bspline"
-
-    def shape(self) -> str:
-        return "bspline2"
+    kernels = {"quadratic": "bspline2", "cubic": "bspline3"}
+    small_mass = 0.1

@@ -32,8 +32,8 @@ class Deed(NamedTuple):
     solid: Loop
 
 
-def putting(give: Loop, add: Loop) -> Deed:
-    """A deed that adds to the grid.
+def putting(give: Loop, add: Loop, nodal: bool = False) -> Deed:
+    """A deed that adds to the grid. nodal : sites within a cell are resolved to the nodes, for what differs from node to node.
 
     give : (w, gx, gy, gz, x, y, z, acc) -> what the site at (x, y, z) gets. add : (nodes, n, f, got) adds f times that to node n.
     """
@@ -45,8 +45,14 @@ def putting(give: Loop, add: Loop) -> Deed:
 
     @inlined
     def plane(nodes, n, ny, rx, ry, w, gx, gy, x, y, acc):  # type: ignore[no-untyped-def]
-        got = give(w, gx, gy, 0.0, x, y, 0.0, acc)
         qx, qy = 1.0 - rx, 1.0 - ry
+        if nodal:
+            for q in range(4):
+                di, dj = q >> 1, q & 1
+                f = (rx if di else qx) * (ry if dj else qy)
+                add(nodes, n + di * ny + dj, 1.0, give(w * f, gx * f, gy * f, 0.0, x - rx + di, y - ry + dj, 0.0, acc))
+            return acc
+        got = give(w, gx, gy, 0.0, x, y, 0.0, acc)
         add(nodes, n, qx * qy, got)
         add(nodes, n + 1, qx * ry, got)
         add(nodes, n + ny, rx * qy, got)
@@ -59,14 +65,16 @@ def putting(give: Loop, add: Loop) -> Deed:
         for q in range(8):
             di, dj, dk = q >> 2, (q >> 1) & 1, q & 1
             f = (rx if di else 1.0 - rx) * (ry if dj else 1.0 - ry) * (rz if dk else 1.0 - rz)
+            if nodal:
+                got = give(w, gx, gy, gz, x - rx + di, y - ry + dj, z - rz + dk, acc)
             add(nodes, n + (di * ny + dj) * nz + dk, f, got)
         return acc
 
     return Deed(node, plane, solid)
 
 
-def getting(zero: tuple[float, ...], read: Loop, take: Loop) -> Deed:
-    """A deed that reads the grid.
+def getting(zero: tuple[float, ...], read: Loop, take: Loop, nodal: bool = False) -> Deed:
+    """A deed that reads the grid. nodal : as for ``putting``.
 
     zero : the start of what is read. read : (nodes, n, f, values) -> values + f times those of node n.
     take : (values, w, gx, gy, gz, x, y, z, acc) -> acc, with the values at the site at (x, y, z).
@@ -79,6 +87,13 @@ def getting(zero: tuple[float, ...], read: Loop, take: Loop) -> Deed:
     @inlined
     def plane(nodes, n, ny, rx, ry, w, gx, gy, x, y, acc):  # type: ignore[no-untyped-def]
         qx, qy = 1.0 - rx, 1.0 - ry
+        if nodal:
+            for q in range(4):
+                di, dj = q >> 1, q & 1
+                f = (rx if di else qx) * (ry if dj else qy)
+                values = read(nodes, n + di * ny + dj, 1.0, zero)
+                acc = take(values, w * f, gx * f, gy * f, 0.0, x - rx + di, y - ry + dj, 0.0, acc)
+            return acc
         values = read(nodes, n, qx * qy, zero)
         values = read(nodes, n + 1, qx * ry, values)
         values = read(nodes, n + ny, rx * qy, values)
@@ -91,7 +106,13 @@ def getting(zero: tuple[float, ...], read: Loop, take: Loop) -> Deed:
         for q in range(8):
             di, dj, dk = q >> 2, (q >> 1) & 1, q & 1
             f = (rx if di else 1.0 - rx) * (ry if dj else 1.0 - ry) * (rz if dk else 1.0 - rz)
-            values = read(nodes, n + (di * ny + dj) * nz + dk, f, values)
+            if nodal:
+                values = read(nodes, n + (di * ny + dj) * nz + dk, 1.0, zero)
+                acc = take(values, w * f, gx * f, gy * f, gz * f, x - rx + di, y - ry + dj, z - rz + dk, acc)
+            else:
+                values = read(nodes, n + (di * ny + dj) * nz + dk, f, values)
+        if nodal:
+            return acc
         return take(values, w, gx, gy, gz, x, y, z, acc)
 
     return Deed(node, plane, solid)
@@ -119,7 +140,13 @@ def make_put(dim: int, what: str, affine: bool) -> Deed:
             m, px, py, bx, by, xx, yy, xy, sx, sy, c0, c1, c2, c3 = a
             if affine:
                 dx, dy = x - sx, y - sy
-                return w * m, w * (px + c0 * dx + c1 * dy), w * (py + c2 * dx + c3 * dy), w * bx + xx * gx + xy * gy, w * by + xy * gx + yy * gy
+                return (
+                    w * m,
+                    w * (px + c0 * dx + c1 * dy),
+                    w * (py + c2 * dx + c3 * dy),
+                    w * bx + xx * gx + xy * gy,
+                    w * by + xy * gx + yy * gy,
+                )
             return w * m, w * px, w * py, w * bx + xx * gx + xy * gy, w * by + xy * gx + yy * gy
 
         @inlined
@@ -133,7 +160,7 @@ def make_put(dim: int, what: str, affine: bool) -> Deed:
                 nodes[n, f0] += f * got[3]
                 nodes[n, f0 + 1] += f * got[4]
 
-        return putting(give, add)
+        return putting(give, add, affine)
 
     @inlined
     def give_solid(w, gx, gy, gz, x, y, z, a):  # type: ignore[no-untyped-def]
@@ -158,7 +185,7 @@ def make_put(dim: int, what: str, affine: bool) -> Deed:
             nodes[n, f0 + 1] += f * got[5]
             nodes[n, f0 + 2] += f * got[6]
 
-    return putting(give_solid, add_solid)
+    return putting(give_solid, add_solid, affine)
 
 
 @cache
@@ -204,7 +231,7 @@ def make_get_motion(dim: int, gradient: bool, affine: bool) -> Deed:
                 p, q, c, d = values
                 return vx + w * p, vy + w * q, ax + w * c, ay + w * d, xx, xy, yx, yy
 
-        return getting((0.0,) * 4, read, take)
+        return getting((0.0,) * 4, read, take, affine)
 
     @inlined
     def read_solid(nodes, n, f, values):  # type: ignore[no-untyped-def]
@@ -248,7 +275,7 @@ def make_get_motion(dim: int, gradient: bool, affine: bool) -> Deed:
                 xx, xy, xz, yx, yy, yz, zx, zy, zz,
             )  # fmt: skip
 
-    return getting((0.0,) * 6, read_solid, take_solid)
+    return getting((0.0,) * 6, read_solid, take_solid, affine)
 
 
 @cache

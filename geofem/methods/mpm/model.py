@@ -127,8 +127,7 @@ class ExplicitMpm:
     # --- ranks --------------------------------------------------------------------------------------------------------
     def _divide(self) -> None:
         """Cut the grid into slabs, keep the points of this rank's slab and copies around it, and lay out its window of the grid."""
-        rows = [self._rows_of(body) for body in self.bodies]
-        for body, row in zip(self.bodies, rows):
+        for body in self.bodies:
             body.sort(self._cells(body))
         rows = [self._rows_of(body) for body in self.bodies]
         self.slabs = parallel.make_slabs(self.comm, np.concatenate(rows), self.grid.shape[0] - 1, self._halo())
@@ -430,7 +429,6 @@ class ExplicitMpm:
             body.arrays["C"][: body.N] = 0.0
         heard = [np.empty((body.N, dim)) for body in self.bodies]
         for r in range(1, self.order + 1):
-            set_velocity(nodes, W, self.held.arrays, self.walls.arrays, dim)
             self._over_points(lambda t, body, k, lo, hi: hear(body.cloud, lo, hi, nodes, lattice, heard[k]))
             share = (-1) ** (r + 1) * math.comb(self.order, r)
             for body, out in zip(self.bodies, heard):
@@ -513,7 +511,9 @@ class ExplicitMpm:
         passes_of = (START, FORCES) if self.scheme == "usf" else (ALL,)
         for body, _ in empty:
             for what in passes_of:
-                passes.make_scatter(self.kind, what)(body.cloud, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], self._marks[0])
+                passes.make_scatter(self.kind, what)(
+                    body.cloud, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], self._marks[0]
+                )
         self._box = (0,) * 6
         fused = self.scheme == "usl" and not self.kind.cure
         for body in self.bodies:

@@ -58,7 +58,11 @@ def exchange(body: Body, row: Array, slabs: Slabs) -> None:
     packets = []
     for r in range(size):
         low, high = slabs.bounds[r] - slabs.halo, slabs.bounds[r + 1] + slabs.halo
-        wanted = np.flatnonzero((row >= low) & (row < high)) if r != rank else np.flatnonzero((owner != rank) & (row >= low) & (row < high))
+        wanted = (
+            np.flatnonzero((row >= low) & (row < high))
+            if r != rank
+            else np.flatnonzero((owner != rank) & (row >= low) & (row < high))
+        )
         packets.append(pack(body.pick(wanted), row[wanted]))
     kept = packets[rank]
     packets[rank] = kept[:0]
@@ -90,7 +94,8 @@ def pack(fields: dict[str, Array], row: Array) -> Array:
     columns = [row.astype(np.int64).view(np.float64)[:, None]]
     for name in KEPT:
         values = np.ascontiguousarray(fields[name])
-        columns.append((values.view(np.float64) if values.dtype == np.int64 else values).reshape(len(row), -1))
+        width = int(np.prod(values.shape[1:]))
+        columns.append((values.view(np.float64) if values.dtype == np.int64 else values).reshape(len(row), width))
     return np.hstack(columns)
 
 
@@ -103,7 +108,9 @@ def unpack(table: Array, like: Body) -> tuple[Array, dict[str, Array]]:
         width = int(np.prod(array.shape[1:]))
         values = np.ascontiguousarray(table[:, at : at + width])
         at += width
-        fields[name] = values.view(np.int64).ravel() if array.dtype == np.int64 else values.reshape(len(table), *array.shape[1:])
+        fields[name] = (
+            values.view(np.int64).ravel() if array.dtype == np.int64 else values.reshape(len(table), *array.shape[1:])
+        )
     return row, fields
 
 
@@ -114,9 +121,7 @@ def alltoall(comm: MPI.Intracomm, packets: list[Array]) -> Array:
     arriving = np.empty_like(counts)
     comm.Alltoall(counts, arriving)
     out = np.empty((int(arriving.sum()), width))
-    comm.Alltoallv(
-        [np.concatenate(packets), counts * width, MPI.DOUBLE], [out, arriving * width, MPI.DOUBLE]
-    )
+    comm.Alltoallv([np.concatenate(packets), counts * width, MPI.DOUBLE], [out, arriving * width, MPI.DOUBLE])
     return out
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 
 from geofem.methods.mpm import grid as g
-from geofem.methods.mpm.deeds import AGAIN, ALL, FORCES, START, inlined, make_get_gradient, make_get_motion, make_put, putting
+from geofem.methods.mpm.deeds import AGAIN, FORCES, START, inlined, make_get_gradient, make_get_motion, make_put, putting
 from geofem.methods.mpm.grid import OPTIONS
 from geofem.methods.mpm.shapes import SHAPES, make_extent
 
@@ -74,7 +74,6 @@ class Kind:
     transfer: str
     loaded: bool
     cure: bool
-
 
 
 # --- helpers of all passes ---------------------------------------------------------------------------------------------------
@@ -198,7 +197,14 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
                 sx, sy = (q.at[p, 0] - lattice[0]) * per_h, (q.at[p, 1] - lattice[1]) * per_h
                 nx, ny = lattice[4], lattice[5]
                 # so written that nan is outside
-                if not (pad <= sx <= nx - 1 - pad and pad <= sy <= ny - 1 - pad and sx >= ex and sy >= ey and sx + ex < nx - 1 and sy + ey < ny - 1):
+                if not (
+                    pad <= sx <= nx - 1 - pad
+                    and pad <= sy <= ny - 1 - pad
+                    and sx >= ex
+                    and sy >= ey
+                    and sx + ex < nx - 1
+                    and sy + ey < ny - 1
+                ):
                     marks[g.FAULT], marks[g.POINT] = g.ESCAPED, p
                     continue
                 i0, i1 = min(i0, int(sx - ex)), max(i1, int(sx + ex) + 1)
@@ -412,7 +418,15 @@ def make_advance(kind: Kind, law: Callable[..., int] | None) -> Callable[..., No
                     marks[g.FAULT], marks[g.POINT] = g.TANGLED, p
                     dissipated = 0.0
             if again:
-                put(others, lattice, q.at, q.domain, q.F, p, to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, q.mass[p] * h))
+                put(
+                    others,
+                    lattice,
+                    q.at,
+                    q.domain,
+                    q.F,
+                    p,
+                    to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, q.mass[p] * h),
+                )
             if p < own:
                 kinetic += square
                 work += done
@@ -556,7 +570,9 @@ def make_tell(kind: Kind) -> Callable[..., None]:
         ordered = len(q.order) > 0
         for e in range(lo, hi):
             p = q.order[e] if ordered else e
-            put(nodes, lattice, q.at, q.domain, q.F, p, to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+            put(
+                nodes, lattice, q.at, q.domain, q.F, p, to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            )
 
     return tell
 

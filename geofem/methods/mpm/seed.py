@@ -42,7 +42,9 @@ def fill_all(scene: Scene, spacing: float, axial: bool) -> list[Seeds]:
         made = [fill(region.shape, spacing) for region in scene.regions]
     if not axial:
         return made
-    return [Seeds(s.points, s.volumes * s.points[:, 0], s.edges, s.corners, float(np.sum(s.volumes * s.points[:, 0]))) for s in made]
+    return [
+        Seeds(s.points, s.volumes * s.points[:, 0], s.edges, s.corners, float(np.sum(s.volumes * s.points[:, 0]))) for s in made
+    ]
 
 
 def fill(shape: Shape, spacing: float) -> Seeds:
@@ -181,6 +183,12 @@ def tensor_volumes(x: Array) -> Array:
     total = np.zeros(len(x))
     for local in np.stack(np.meshgrid(*[gauss] * dim, indexing="ij"), axis=-1).reshape(-1, dim):
         factors = np.where(signs, local, 1.0 - local)
-        J = np.stack([np.einsum("v,cvi->ci", np.prod(np.delete(factors, a, axis=1), axis=1) * (2.0 * signs[:, a] - 1.0), x) for a in range(dim)], axis=2)
+        J = np.stack(
+            [
+                np.einsum("v,cvi->ci", np.prod(np.delete(factors, a, axis=1), axis=1) * (2.0 * signs[:, a] - 1.0), x)
+                for a in range(dim)
+            ],
+            axis=2,
+        )
         total += np.linalg.det(J) / 2**dim
     return total

@@ -130,7 +130,9 @@ def product(weights: Callable[..., Any], count: int) -> Callable[[int], Callable
                     for a in range(count):
                         row = (i + a) * ny + j - base
                         for b in range(count):
-                            acc = visit(nodes, row + b, wx[a] * wy[b], dx[a] * wy[b], wx[a] * dy[b], 0.0, i + a, j + b, 0.0, acc)
+                            acc = visit(
+                                nodes, row + b, wx[a] * wy[b], dx[a] * wy[b], wx[a] * dy[b], 0.0, i + a, j + b, 0.0, acc
+                            )
                     return acc
 
             else:
@@ -251,7 +253,11 @@ def parallelograms(dim: int) -> Callable[[Deed], Loop]:
                     for b in (-1.0, 1.0):
                         for c in (-1.0, 1.0):
                             hx, hy, hz = a * ax + b * bx + c * cx, a * ay + b * by + c * cy, a * az + b * bz + c * cz
-                            px, py, pz = sx + a * ux + b * vx + c * wx, sy + a * uy + b * vy + c * wy, sz + a * uz + b * vz + c * wz
+                            px, py, pz = (
+                                sx + a * ux + b * vx + c * wx,
+                                sy + a * uy + b * vy + c * wy,
+                                sz + a * uz + b * vz + c * wz,
+                            )
                             i, j, k = int(px), int(py), int(pz)
                             n = (i * ny + j) * nz + k - base
                             acc = solid(
