@@ -45,6 +45,7 @@ class Cloud(NamedTuple):
     F : (N, g) deformation gradient. L : (N, d d) its increment's gradient dt L, for the volumetric cure only.
     tau : (N, m) Kirchhoff stress (Pa). state : (N, s). mass (kg), volume (m3, reference), force (N, d) on the point (N).
     domain : see ``Shape.domain``. order : (N,) the order in which points add to the grid; empty: as they are.
+    per_density : volume over mass (m3/kg), which saves reading both.
     """
 
     X: Array
@@ -61,6 +62,7 @@ class Cloud(NamedTuple):
     force: Array
     domain: Array
     order: Array
+    per_density: float
 
 
 class Answer(NamedTuple):
@@ -260,7 +262,7 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
                     mean += zz
                 shift = det(q.F, p) * cells[c, 1] / cells[c, 0] - mean / averaged
                 xx, yy, zz = xx + shift, yy + shift, zz + shift
-            V = q.volume[p]
+            V = q.mass[p] * q.per_density
             if axial:
                 bx -= V * zz / q.at[p, 0]
             put(nodes, lattice, q.at, q.domain, q.F, p,
@@ -408,7 +410,7 @@ def make_deform(kind: Kind, answer: Answer) -> Callable[..., float]:
             power = (txx + tau[0]) * lxx + (tyy + tau[1]) * lyy + (txy + tau[3]) * (lxy + lyx)
             if axial:
                 power += (tzz + tau[2]) * hoop
-            return q.volume[p] * power
+            return q.mass[p] * q.per_density * power
 
     else:
 
@@ -438,7 +440,7 @@ def make_deform(kind: Kind, answer: Answer) -> Callable[..., float]:
                 return 0.0
             power = (before[0] + tau[0]) * L[0] + (before[1] + tau[1]) * L[4] + (before[2] + tau[2]) * L[8]
             power += (before[3] + tau[3]) * (L[1] + L[3]) + (before[4] + tau[4]) * (L[5] + L[7])
-            return q.volume[p] * (power + (before[5] + tau[5]) * (L[2] + L[6]))
+            return q.mass[p] * q.per_density * (power + (before[5] + tau[5]) * (L[2] + L[6]))
 
     return deform
 

@@ -31,7 +31,7 @@ class Body:
         law = materials.get(material.law)
         self.law, self.par, self.kind = law, par, kind
         self.answer = Answer(law.point, materials.LAWS[material.law].history, law.state_size(4) > 0)
-        self.exact = seeds.exact
+        self.exact, self.density = seeds.exact, material.density
         N, d = seeds.points.shape
         m, g = (4, 5) if d == 2 else (6, 9)
         if domain == "corners":
@@ -92,7 +92,7 @@ class Body:
             self._cloud = Cloud(
                 X=a["X"][:N], x=a["x"][:N], at=at[:N], v=a["v"][:N], C=a["C"][:N], F=a["F"][:N], L=self.increment[:N],
                 tau=a["tau"][:N], state=a["state"][:N], mass=a["mass"][:N], volume=a["volume"][:N], force=self.force[:N],
-                domain=a["domain"][:N], order=self._order,
+                domain=a["domain"][:N], order=self._order, per_density=1.0 / self.density,
             )  # fmt: skip
         return self._cloud
 
