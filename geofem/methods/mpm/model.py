@@ -400,7 +400,7 @@ class ExplicitMpm:
             set_velocity(nodes, W, held, walls, dim)
         if not fused and self.scheme != "usf":
             self._strain(dt)
-        if self.shape.domain == "corners":
+        if self.shape.domain == "corners" and not kind.small:
             self._over_points(lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt))
 
     def _strain(self, dt: float) -> None:
