@@ -32,9 +32,10 @@ class Slabs:
         return int(self.bounds[self.comm.rank]), int(self.bounds[self.comm.rank + 1])
 
     def window(self, last: int) -> tuple[int, int]:
-        """Rows of nodes, first and end, that the rank's points and copies can reach."""
+        """Rows of nodes, first and end, that the rank's points and copies can reach: no farther than half the halo."""
         low, high = self.own
-        return max(0, low - self.halo - 3), min(last, high + self.halo + 4)
+        reach = max(3, self.halo // 2 + 1)
+        return max(0, low - self.halo - reach), min(last, high + self.halo + reach + 1)
 
 
 def make_slabs(comm: MPI.Intracomm, cells: Array, rows: int, halo: int) -> Slabs:

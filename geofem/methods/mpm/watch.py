@@ -59,6 +59,12 @@ class Splitter:
             self.total = 0
         return count > 0
 
+    def state(self) -> tuple[float, ...]:
+        return (self._way,)
+
+    def restore(self, way: float) -> None:
+        self._way = way
+
     def _split(self, body: Body, h: float) -> int:
         """Halve the domains of own points that are too long; mass, momentum and volume are kept. Returns how many."""
         body.N = body.n
@@ -142,6 +148,12 @@ class Watch:
         self.shape = shape
         self._way = np.inf
         self._start: int | None = None
+
+    def state(self) -> tuple[float, ...]:
+        return self._way, -1.0 if self._start is None else float(self._start)
+
+    def restore(self, way: float, start: float) -> None:
+        self._way, self._start = way, None if start < 0 else int(start)
 
     def look(self, model: Any, moved: float) -> None:
         """Raises ``Breakdown("fracture")``. moved : way of the fastest point since the last call (cells). Collective."""
