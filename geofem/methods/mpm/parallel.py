@@ -13,6 +13,7 @@ import numpy as np
 from mpi4py import MPI
 
 from geofem.methods.mpm.points import KEPT, Body
+from geofem.mistake import Mistake
 from geofem.scene import Array
 
 
@@ -40,6 +41,8 @@ class Slabs:
 
 def make_slabs(comm: MPI.Intracomm, cells: Array, rows: int, halo: int) -> Slabs:
     """Slabs that hold about the same number of points each; cells : (N,) place of every point along x, rows : cells along x."""
+    if comm.size > rows:
+        raise Mistake(f"the grid has {rows} rows of cells along x, too few for {comm.size} ranks; start fewer, or raise n")
     inner = np.quantile(cells, np.arange(1, comm.size) / comm.size, method="nearest").astype(int) if comm.size > 1 else []
     bounds = np.concatenate([[0], inner, [rows]]).astype(int)
     # every rank has at least one row, so that the slabs are in order
