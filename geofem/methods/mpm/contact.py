@@ -62,7 +62,7 @@ def make_touch(kind: str, small: bool) -> Any:
         if kind == "half":
             return h * (abs(nx) * d[0] + abs(ny) * d[1])
         if kind == "edges":
-            F = q.F[p]
+            F = q.stretch[p]
             return h * (
                 abs(nx * (F[0] * d[0] + F[1] * d[1]) + ny * (F[2] * d[0] + F[3] * d[1]))
                 + abs(nx * (F[0] * d[2] + F[1] * d[3]) + ny * (F[2] * d[2] + F[3] * d[3]))

@@ -31,6 +31,8 @@ KINETIC, SPEED2, WORK, STRAIN_WORK, UNBALANCE, REACTIONS, IMPULSE, SUMS = 0, 1, 
 FAULT, POINT, BOX, MARKS = 0, 1, 2, 8
 TANGLED, ESCAPED = 1, 2
 FAR = 1 << 40
+ALIKE = 1.0 + 1e-9
+"""Masses nearer to each other than this are equal, so that rounding, and with it the number of threads, decides on nothing."""
 
 
 @dataclass
@@ -218,7 +220,7 @@ def merge_small(nodes: Any, dim: int, box: Any, rows: Any, small: float, partner
                         for b in range(max(j - 1, box[2]), min(j + 2, box[3])):
                             for c in range(max(k - 1, box[4]), min(k + 2, box[5])):
                                 other = (a * middle + b) * last + c - base
-                                if nodes[other, MASS] > most:
+                                if nodes[other, MASS] > ALIKE * most:
                                     best, most = other, nodes[other, MASS]
                     if most >= small and count < partner.shape[0]:
                         partner[count, 0], partner[count, 1] = n, best

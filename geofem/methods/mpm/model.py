@@ -68,7 +68,7 @@ class ExplicitMpm:
         spent = any(law.energy is None for law in laws)
         self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, spent, cure)
         seeds = fill_all(scene, self.h / ppc, axial)
-        bounds = g.shape_bounds(scene) or [s.bounds for s in seeds]
+        bounds = self._bounds = g.shape_bounds(scene) or [s.bounds for s in seeds]
         self.grid = g.make_grid(scene, self.h, self.shape, bounds)
         self.bodies = []
         for region, law, filled in zip(scene.regions, laws, seeds, strict=True):
@@ -91,6 +91,7 @@ class ExplicitMpm:
         self._strayed = 0.0
         self._fastest = self._largest_speed()
         self._unbalance = self._reactions = 0.0
+        self._faulty: list[tuple[Any, ...]] = [()] * threads  # body, fault and point of each thread's first fault in a step
         self._places = answers.Places(scene, seeds, self.comm)
         self._divide()
         self._compile_passes()
@@ -151,8 +152,7 @@ class ExplicitMpm:
         self._cell_sums = [np.zeros((count if self.kind.cure else 0, 3)) for _ in range(self.threads)]
         self._scratch = np.zeros((self.threads, passes.SCRATCH))
         self._sums, self._marks = np.zeros((self.threads, g.SUMS)), np.zeros((self.threads, g.MARKS), np.int64)
-        bounds = g.shape_bounds(self.scene) or []
-        coordinates = g.on_edges(self.grid.coordinates(), bounds, self.h)
+        coordinates = g.on_edges(self.grid.coordinates(), self._bounds, self.h)
         row = self.grid.first + np.arange(count) // per_row
         mine = (row >= self.grid.own[0]) & (row < self.grid.own[1])
         self.held, self.walls = Held(self.scene, coordinates, mine), Walls(self.scene, coordinates, mine)
@@ -268,6 +268,8 @@ class ExplicitMpm:
             for k, (body, cut) in enumerate(zip(self.bodies, self._cuts)):
                 if cut[thread] < cut[thread + 1]:
                     work(thread, body, k, int(cut[thread]), int(cut[thread + 1]))
+                    if self._marks[thread, g.FAULT] and not self._faulty[thread]:
+                        self._faulty[thread] = (body, *self._marks[thread, [g.FAULT, g.POINT]].tolist())
 
         self._each(share)
 
@@ -286,6 +288,7 @@ class ExplicitMpm:
         gravity = self._loads(dt, t1)
         self._sums[:] = 0.0
         self._marks[:] = 0
+        self._faulty = [()] * self.threads
         self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
         rows = self.grid.rows
         self._over_nodes(lambda thread, box: [g.clear(nodes, box, rows) for nodes in self._nodes[:1]])
@@ -400,7 +403,7 @@ class ExplicitMpm:
             set_velocity(nodes, W, held, walls, dim)
         if not fused and self.scheme != "usf":
             self._strain(dt)
-        if self.shape.domain == "corners":
+        if self.shape.domain == "corners" and not kind.small:
             self._over_points(lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt))
 
     def _strain(self, dt: float) -> None:
@@ -502,12 +505,12 @@ class ExplicitMpm:
 
     def _fault(self) -> tuple[str, str] | None:
         """Cause and words of a fault in this rank's own points."""
-        for marks in self._marks:
-            if marks[g.FAULT]:
-                body = next(b for b in self.bodies if b.N > marks[g.POINT])
-                X, x = (body.arrays[name][marks[g.POINT]] for name in ("X", "x"))
+        for faulty in self._faulty:
+            if faulty:
+                body, fault, point = faulty
+                X, x = (body.arrays[name][point] for name in ("X", "x"))
                 place = f"the material point of ({', '.join(f'{v:.4g}' for v in X)}) m, now at ({', '.join(f'{v:.4g}' for v in x)}) m,"
-                if marks[g.FAULT] == g.ESCAPED:
+                if fault == g.ESCAPED:
                     return "volume", f"{place} left the background grid at t = {self._now:.4g}"
                 return "tangle", f"{place} is turned inside out (det F <= 0) at t = {self._now:.4g}"
         return None
@@ -595,7 +598,9 @@ class ExplicitMpm:
         return out | {
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
-            "last": np.array([self._fastest, self._unbalance, self._reactions, self._strayed]),
+            "last": np.array(
+                [self._fastest, self._unbalance, self._reactions, self._strayed, *self.splitter.state(), *self.watch.state()]
+            ),
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
 
@@ -614,7 +619,9 @@ class ExplicitMpm:
             body.settle()
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
-        self._fastest, self._unbalance, self._reactions, self._strayed = state["last"].tolist()
+        self._fastest, self._unbalance, self._reactions, self._strayed, split, *watch = state["last"].tolist()
+        self.splitter.restore(split)
+        self.watch.restore(*watch)
         self.work["steps"], self.work["point_steps"] = state["work"].tolist()
         self.splitter.total = 0
         self.grid.nodes[:] = 0.0

@@ -13,6 +13,7 @@ import numpy as np
 from mpi4py import MPI
 
 from geofem.methods.mpm.points import KEPT, Body
+from geofem.mistake import Mistake
 from geofem.scene import Array
 
 
@@ -32,13 +33,16 @@ class Slabs:
         return int(self.bounds[self.comm.rank]), int(self.bounds[self.comm.rank + 1])
 
     def window(self, last: int) -> tuple[int, int]:
-        """Rows of nodes, first and end, that the rank's points and copies can reach."""
+        """Rows of nodes, first and end, that the rank's points and copies can reach: no farther than half the halo."""
         low, high = self.own
-        return max(0, low - self.halo - 3), min(last, high + self.halo + 4)
+        reach = max(3, self.halo // 2 + 1)
+        return max(0, low - self.halo - reach), min(last, high + self.halo + reach + 1)
 
 
 def make_slabs(comm: MPI.Intracomm, cells: Array, rows: int, halo: int) -> Slabs:
     """Slabs that hold about the same number of points each; cells : (N,) place of every point along x, rows : cells along x."""
+    if comm.size > rows:
+        raise Mistake(f"the grid has {rows} rows of cells along x, too few for {comm.size} ranks; start fewer, or raise n")
     inner = np.quantile(cells, np.arange(1, comm.size) / comm.size, method="nearest").astype(int) if comm.size > 1 else []
     bounds = np.concatenate([[0], inner, [rows]]).astype(int)
     # every rank has at least one row, so that the slabs are in order

@@ -44,7 +44,8 @@ class Cloud(NamedTuple):
     C : (N, d d) gradient of the velocity within a point's domain (1/s, apic), or the velocity without noise (N, d) (m/s, xpic).
     F : (N, g) deformation gradient. L : (N, d d) its increment's gradient dt L, for the volumetric cure only.
     tau : (N, m) Kirchhoff stress (Pa). state : (N, s). mass (kg), volume (m3, reference), force (N, d) on the point (N).
-    domain : see ``Shape.domain``. order : (N,) the order in which points add to the grid; empty: as they are.
+    domain : see ``Shape.domain``. stretch (N, g) : the deformation gradient of the domains in this step, so that all passes of a step
+    see the same domain; the identity at small strain. order : (N,) the order in which points add to the grid; empty: as they are.
     per_density : volume over mass (m3/kg), which saves reading both.
     """
 
@@ -61,6 +62,7 @@ class Cloud(NamedTuple):
     volume: Array
     force: Array
     domain: Array
+    stretch: Array
     order: Array
     per_density: float
 
@@ -94,14 +96,34 @@ class Kind:
 
 # --- helpers of all passes ---------------------------------------------------------------------------------------------------
 @cache
-def make_packs(dim: int, affine: bool) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Starts of what the deeds carry along: (q, p, lattice, m, body, stress factor, affine factor) -> for putting, and for getting."""
+def make_packs(dim: int, affine: bool, shape: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Starts of what the deeds carry along: (q, p, lattice, m, body, stress factor, affine factor) -> for putting, and for getting.
+
+    An affine velocity belongs to the mean place of a point's weights: the point, or the centroid of a quadrilateral.
+    """
     if dim == 2:
+        if SHAPES[shape].domain == "corners":
+
+            @inlined
+            def middle(q, p):  # type: ignore[no-untyped-def]
+                d = q.domain[p]
+                one = (d[2] - d[0]) * (d[5] - d[1]) - (d[4] - d[0]) * (d[3] - d[1])
+                other = (d[4] - d[0]) * (d[7] - d[1]) - (d[6] - d[0]) * (d[5] - d[1])
+                share = one / (one + other)
+                x = (d[0] + d[4] + share * d[2] + (1.0 - share) * d[6]) / 3.0
+                return x, (d[1] + d[5] + share * d[3] + (1.0 - share) * d[7]) / 3.0
+
+        else:
+
+            @inlined
+            def middle(q, p):  # type: ignore[no-untyped-def]
+                return q.at[p, 0], q.at[p, 1]
 
         @inlined
         def to_put(q, p, lattice, m, bx, by, bz, s, xx, yy, zz, a):  # type: ignore[no-untyped-def]
             per_h = lattice[3]
-            sx, sy = (q.at[p, 0] - lattice[0]) * per_h, (q.at[p, 1] - lattice[1]) * per_h
+            x, y = middle(q, p)
+            sx, sy = (x - lattice[0]) * per_h, (y - lattice[1]) * per_h
             px, py, xy = m * q.v[p, 0], m * q.v[p, 1], s * q.tau[p, 3]
             if affine:
                 C = q.C
@@ -111,7 +133,8 @@ def make_packs(dim: int, affine: bool) -> tuple[Callable[..., Any], Callable[...
         @inlined
         def to_get(q, p, lattice):  # type: ignore[no-untyped-def]
             per_h = lattice[3]
-            sx, sy = (q.at[p, 0] - lattice[0]) * per_h, (q.at[p, 1] - lattice[1]) * per_h
+            x, y = middle(q, p)
+            sx, sy = (x - lattice[0]) * per_h, (y - lattice[1]) * per_h
             z = 0.0
             return z, z, z, z, z, z, z, z, sx, sy, z, z, z, z, z, z, z
 
@@ -164,9 +187,15 @@ def make_cell(dim: int) -> Callable[..., Any]:
 
 
 @cache
-def make_det(dim: int) -> Callable[..., float]:
-    """(F, p) -> det F of point p."""
-    if dim == 2:
+def make_det(kind: Kind) -> Callable[..., float]:
+    """(F, p) -> det F of point p, 1 at small strain."""
+    if kind.small:
+
+        @inlined
+        def det(F, p):  # type: ignore[no-untyped-def]
+            return 1.0
+
+    elif kind.dim == 2:
 
         @inlined
         def det(F, p):  # type: ignore[no-untyped-def]
@@ -208,8 +237,8 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
     loaded, affine, opens = kind.loaded and what != START, kind.transfer == "apic" and what != FORCES, what != FORCES
     over = SHAPES[kind.shape].over(dim)
     put = over(make_put(dim, what, affine))
-    extent, cell, det = make_extent(SHAPES[kind.shape], dim), make_cell(dim), make_det(dim)
-    to_put, _ = make_packs(dim, affine)
+    extent, cell, det = make_extent(SHAPES[kind.shape], dim), make_cell(dim), make_det(kind)
+    to_put, _ = make_packs(dim, affine, kind.shape)
     averaged = 3 if axial else dim
     spread, fixed = opens and SHAPES[kind.shape].spread, opens and not SHAPES[kind.shape].spread
     reach = SHAPES[kind.shape].reach
@@ -236,7 +265,7 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
         for e in range(lo, hi):
             p = q.order[e] if ordered else e
             if spread:
-                ex, ey, ez = extent(q.at, q.domain, q.F, p, per_h)
+                ex, ey, ez = extent(q.at, q.domain, q.stretch, p, per_h)
                 sx, sy, nx, ny = (q.at[p, 0] - lattice[0]) * per_h, (q.at[p, 1] - lattice[1]) * per_h, lattice[4], lattice[5]
                 inside = pad <= sx <= nx - 1 - pad and sx >= ex and sx + ex < nx - 1
                 inside = inside and pad <= sy <= ny - 1 - pad and sy >= ey and sy + ey < ny - 1
@@ -265,7 +294,7 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
             V = q.mass[p] * q.per_density
             if axial:
                 bx -= V * zz / q.at[p, 0]
-            put(nodes, lattice, q.at, q.domain, q.F, p,
+            put(nodes, lattice, q.at, q.domain, q.stretch, p,
                 to_put(q, p, lattice, q.mass[p], bx, by, bz, -V * per_h, xx, yy, zz, q.mass[p] / per_h))  # fmt: skip
         if spread:
             marks[2], marks[3] = min(marks[2], i0), max(marks[3], i1)
@@ -284,7 +313,7 @@ def make_pressures(kind: Kind) -> Callable[..., None]:
     that of the plane, or of space, as only its strains are averaged.
     """
     cell, averaged = make_cell(kind.dim), 3 if kind.axial else kind.dim
-    det = make_det(kind.dim)
+    det = make_det(kind)
 
     @njit(**OPTIONS)
     def pressures(q, lo, hi, lattice, cells):  # type: ignore[no-untyped-def]
@@ -457,7 +486,7 @@ def make_advance(kind: Kind, law: Answer | None) -> Callable[..., None]:
     over = SHAPES[kind.shape].over(dim)
     get = over(make_get_motion(dim, law is not None, affine))
     put = over(make_put(dim, AGAIN, affine))
-    to_put, to_get = make_packs(dim, affine)
+    to_put, to_get = make_packs(dim, affine, kind.shape)
     move, gradient = make_move(kind), make_gradient(dim)
     if law is None:
 
@@ -478,9 +507,9 @@ def make_advance(kind: Kind, law: Answer | None) -> Callable[..., None]:
         for e in range(lo, hi):
             p = q.order[e] if ordered else e
             if plain:
-                got = get(nodes, lattice, q.at, q.domain, q.F, p, zeros)
+                got = get(nodes, lattice, q.at, q.domain, q.stretch, p, zeros)
             else:
-                got = get(nodes, lattice, q.at, q.domain, q.F, p, to_get(q, p, lattice))
+                got = get(nodes, lattice, q.at, q.domain, q.stretch, p, to_get(q, p, lattice))
             radius = q.at[p, 0]
             done, square, speed = move(q, p, got, dt, flip, h)
             if strains:
@@ -495,7 +524,7 @@ def make_advance(kind: Kind, law: Answer | None) -> Callable[..., None]:
                     lattice,
                     q.at,
                     q.domain,
-                    q.F,
+                    q.stretch,
                     p,
                     to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, q.mass[p] * h),
                 )
@@ -544,7 +573,7 @@ def make_strain(kind: Kind, law: Answer) -> Callable[..., None]:
                     hoop = stretch * (1.0 + change[4]) - 1.0
                 dissipated = deform(q, p, gradient(change, 0, 1.0), hoop, par, dt, scratch)
             else:
-                got = get(nodes, lattice, q.at, q.domain, q.F, p, zeros)
+                got = get(nodes, lattice, q.at, q.domain, q.stretch, p, zeros)
                 hoop = dt * got[0] / q.at[p, 0] if axial else 0.0
                 dissipated = deform(q, p, gradient(got, dim, dt * per_h), hoop, par, dt, scratch)
             if not dissipated == dissipated:
@@ -587,7 +616,7 @@ def make_dilate(kind: Kind) -> Callable[..., None]:
     """
     dim, axial = kind.dim, kind.axial
     get = SHAPES[kind.shape].over(dim)(make_get_gradient(dim, 1 if kind.scheme == "usl" else 1 + 2 * dim))
-    cell, det, increment = make_cell(dim), make_det(dim), make_increment(kind)
+    cell, det, increment = make_cell(dim), make_det(kind), make_increment(kind)
     zeros = (0.0,) * (dim + dim * dim)
 
     @njit(**OPTIONS)
@@ -596,7 +625,7 @@ def make_dilate(kind: Kind) -> Callable[..., None]:
         per_h = lattice[3]
         for e in range(lo, hi):
             p = q.order[e] if ordered else e
-            got = get(nodes, lattice, q.at, q.domain, q.F, p, zeros)
+            got = get(nodes, lattice, q.at, q.domain, q.stretch, p, zeros)
             for r in range(dim * dim):
                 q.L[p, r] = dt * per_h * got[dim + r]
             if axial:
@@ -618,7 +647,7 @@ def make_hear(kind: Kind, first: int) -> Callable[..., None]:
     @njit(**OPTIONS)
     def hear(q, lo, hi, nodes, lattice, out):  # type: ignore[no-untyped-def]
         for p in range(lo, hi):
-            got = get(nodes, lattice, q.at, q.domain, q.F, p, zeros)
+            got = get(nodes, lattice, q.at, q.domain, q.stretch, p, zeros)
             for c in range(dim):
                 out[p, c] = got[c]
 
@@ -630,7 +659,7 @@ def make_tell(kind: Kind) -> Callable[..., None]:
     """Momenta of the velocities ``out`` to the columns behind the strains: (q with v = out, lo, hi, nodes, lattice) -> None."""
     dim = kind.dim
     put = SHAPES[kind.shape].over(dim)(make_put(dim, AGAIN, False))
-    to_put, _ = make_packs(dim, False)
+    to_put, _ = make_packs(dim, False, kind.shape)
 
     @njit(**OPTIONS)
     def tell(q, lo, hi, nodes, lattice):  # type: ignore[no-untyped-def]
@@ -638,7 +667,13 @@ def make_tell(kind: Kind) -> Callable[..., None]:
         for e in range(lo, hi):
             p = q.order[e] if ordered else e
             put(
-                nodes, lattice, q.at, q.domain, q.F, p, to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+                nodes,
+                lattice,
+                q.at,
+                q.domain,
+                q.stretch,
+                p,
+                to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
             )
 
     return tell
@@ -682,7 +717,7 @@ def make_neighbours(kind: Kind) -> Callable[..., None]:
     @njit(**OPTIONS)
     def neighbours(q, count, lattice, out):  # type: ignore[no-untyped-def]
         for p in range(count):
-            reach(out, lattice, q.at, q.domain, q.F, p, p)
+            reach(out, lattice, q.at, q.domain, q.stretch, p, p)
 
     return neighbours
 

@@ -10,6 +10,7 @@ from numba import njit
 from geofem import materials
 from geofem.methods.mpm.passes import Answer, Cloud
 from geofem.methods.mpm.seed import Seeds
+from geofem.methods.mpm.shapes import SHAPES
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Material
 
@@ -41,14 +42,16 @@ class Body:
             place = seeds.edges.reshape(N, -1) / h
         else:
             place = np.abs(seeds.edges).sum(axis=1) / h
+            if not SHAPES[kind.shape].spread:
+                place = np.minimum(place, 0.5)  # no more than these shapes' nodes can tell of
         affine = {"apic": d * d, "xpic": d}.get(kind.transfer, 0)
-        identity = [1.0, 0.0, 0.0, 1.0, 1.0] if d == 2 else [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        self._identity = [1.0, 0.0, 0.0, 1.0, 1.0] if d == 2 else [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
         self.arrays: dict[str, Array] = {
             "X": seeds.points.copy(),
             "x": seeds.points.copy(),
             "v": np.zeros((N, d)),
             "C": np.zeros((N, affine)),
-            "F": np.tile(identity, (N, 1)),
+            "F": np.tile(self._identity, (N, 1)),
             "tau": np.zeros((N, m)),
             "state": np.ascontiguousarray(law.initial_state(N, m), float),
             "mass": seeds.volumes * material.density,
@@ -77,6 +80,11 @@ class Body:
         self.increment = np.zeros((size if kind.cure else 0, d * d + (1 if kind.axial else 0)))
         apart = not kind.small and (kind.scheme == "musl" or kind.cure)
         self._at = self.arrays["x"].copy() if apart else None
+        self._stretch = None
+        if kind.small:
+            self._stretch = np.tile(self._identity, (size, 1))
+        elif kind.scheme == "usf" and SHAPES[kind.shape].spread:
+            self._stretch = self.arrays["F"].copy()
 
     def make_room(self, size: int) -> None:
         if size > self.capacity:
@@ -92,18 +100,25 @@ class Body:
             self._cloud = Cloud(
                 X=a["X"][:N], x=a["x"][:N], at=at[:N], v=a["v"][:N], C=a["C"][:N], F=a["F"][:N], L=self.increment[:N],
                 tau=a["tau"][:N], state=a["state"][:N], mass=a["mass"][:N], volume=a["volume"][:N], force=self.force[:N],
-                domain=a["domain"][:N], order=self._order, per_density=1.0 / self.density,
+                domain=a["domain"][:N], stretch=self.stretch[:N], order=self._order, per_density=1.0 / self.density,
             )  # fmt: skip
         return self._cloud
+
+    @property
+    def stretch(self) -> Array:
+        """The deformation gradient of the domains on the grid of this step."""
+        return self.arrays["F"] if self._stretch is None else self._stretch
 
     def own(self, name: str) -> Array:
         """An array of this rank's own points."""
         return self.arrays[name][: self.n]
 
     def settle(self) -> None:
-        """The points' new places are those on the grid of the next step."""
+        """The points' new places and domains are those on the grid of the next step."""
         if self._at is not None:
             self._at[: self.N] = self.arrays["x"][: self.N]
+        if self._stretch is not None and not self.kind.small:
+            self._stretch[: self.N] = self.arrays["F"][: self.N]
 
     def reorder(self) -> None:
         """Let the points, copies included, add to the grid in the order of their keys."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,17 +15,20 @@ from geofem.scene import Array, Box, Disc, MeshFile, Polygon, Ring, Scene, Shape
 @dataclass(frozen=True)
 class Seeds:
     """Points (n, d), their volumes (n,), half edge vectors of their domains (n, d, d), one row an edge, and, in the plane, the four
-    corners of these (n, 4, 2), counter-clockwise. exact : the volume of the shape."""
+    corners of these (n, 4, 2), counter-clockwise. exact : the volume of the shape. box : its bounds, where they are known."""
 
     points: Array
     volumes: Array
     edges: Array
     corners: Array | None
     exact: float
+    box: tuple[Array, Array] | None = None
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """The box around the domains."""
+        """The box around the shape, or around the domains."""
+        if self.box is not None:
+            return self.box
         extent = np.abs(self.edges).sum(axis=1)
         return (self.points - extent).min(axis=0), (self.points + extent).max(axis=0)
 
@@ -42,16 +45,15 @@ def fill_all(scene: Scene, spacing: float, axial: bool) -> list[Seeds]:
         made = [fill(region.shape, spacing) for region in scene.regions]
     if not axial:
         return made
-    return [
-        Seeds(s.points, s.volumes * s.points[:, 0], s.edges, s.corners, float(np.sum(s.volumes * s.points[:, 0]))) for s in made
-    ]
+    turned = [s.volumes * s.points[:, 0] for s in made]
+    return [replace(s, volumes=volumes, exact=float(volumes.sum())) for s, volumes in zip(made, turned)]
 
 
 def fill(shape: Shape, spacing: float) -> Seeds:
     """Points that fill a shape.
 
     A box is divided evenly, and a ring or a disc into layers and these into sectors, so that the volumes add up to the shape's own;
-    a polygon of four corners is divided by its bilinear map; of any other those squares of a lattice are taken whose centre lies
+    a convex polygon of four corners is divided by its bilinear map; of any other those squares of a lattice are taken whose centre lies
     inside, and their volumes scaled to add up to the polygon's.
     """
     if isinstance(shape, Ring):
@@ -59,7 +61,7 @@ def fill(shape: Shape, spacing: float) -> Seeds:
     if isinstance(shape, Disc):
         return sectors(np.array(shape.centre), 0.0, shape.radius, spacing)
     if isinstance(shape, Polygon):
-        return lattice(shape, spacing)
+        return mapped(shape, spacing) or lattice(shape, spacing)
     assert isinstance(shape, Box)
     low, high = np.array(shape.low), np.array(shape.high)
     count = np.maximum(1, np.round((high - low) / spacing)).astype(int)
@@ -104,6 +106,39 @@ def half_edges(corners: Array) -> Array:
     return 0.25 * np.stack([b + c - a - d, c + d - a - b], axis=1)
 
 
+def mapped(shape: Polygon, spacing: float) -> Seeds | None:
+    """The parts of a convex polygon of four corners; None of any other."""
+    p = np.array(shape.points)
+    side = np.roll(p, -1, axis=0) - p
+    after = np.roll(side, -1, axis=0)
+    if len(p) != 4 or np.any(side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0] <= 0):
+        return None
+    length = np.linalg.norm(side, axis=1)
+    counts = [max(1, round(0.5 * (length[a] + length[a + 2]) / spacing)) for a in range(2)]
+    return of_quadrilaterals(divide(p[None, [0, 1, 3, 2]], counts[0], counts[1]))
+
+
+def divide(x: Array, first: int, second: int) -> Array:
+    """Corners (n first second, 4, 2) of the parts of quadrilaterals (n, 4, 2), in dolfinx's vertex order, by their bilinear map."""
+    r, s = np.meshgrid(np.linspace(0.0, 1.0, first + 1), np.linspace(0.0, 1.0, second + 1), indexing="ij")
+    weights = np.stack([(1 - r) * (1 - s), r * (1 - s), (1 - r) * s, r * s], axis=-1)
+    at = np.einsum("ijv,nvc->nijc", weights, x)
+    return np.stack([at[:, :-1, :-1], at[:, 1:, :-1], at[:, 1:, 1:], at[:, :-1, 1:]], axis=3).reshape(-1, 4, 2)
+
+
+def of_quadrilaterals(corners: Array) -> Seeds:
+    """One point in each quadrilateral (n, 4, 2), at its centroid; corners may go round either way."""
+    a, b, c, d = np.moveaxis(corners, 1, 0)
+    one, other = 0.5 * np.linalg.det(np.stack([b - a, c - a], axis=1)), 0.5 * np.linalg.det(np.stack([c - a, d - a], axis=1))
+    volumes = one + other
+    x = (a + c + (one / volumes)[:, None] * b + (other / volumes)[:, None] * d) / 3.0
+    back = volumes < 0
+    corners = np.where(back[:, None, None], corners[:, [0, 3, 2, 1]], corners)
+    volumes = np.abs(volumes)
+    box = corners.reshape(-1, 2).min(axis=0), corners.reshape(-1, 2).max(axis=0)
+    return Seeds(x, volumes, half_edges(corners), corners, float(volumes.sum()), box)
+
+
 def lattice(shape: Polygon, spacing: float) -> Seeds:
     """Squares of a lattice over the polygon's box whose centres lie inside."""
     low, high = np.array(shape.bounds)
@@ -131,12 +166,15 @@ def of_cells(points: Array, cells: Array, kind: str, spacing: float) -> Seeds:
     if not len(vertices):
         raise Mistake("a region has no cells of its own in the mesh file; name its physical group")
     x = points[vertices]
+    box = points[np.unique(vertices)].min(axis=0), points[np.unique(vertices)].max(axis=0)
     dim = x.shape[2]
     if simplex:
         x = boxes_of_simplices(x)
     volume_of = tensor_volumes(x)
     across = float(np.mean(np.abs(volume_of)) ** (1.0 / dim))
     parts = max(1, round(across / spacing))
+    if dim == 2:
+        return replace(of_quadrilaterals(divide(x, parts, parts)), box=box)
     at = (np.arange(parts) + 0.5) / parts
     local = np.stack(np.meshgrid(*[at] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
     signs = (np.arange(2**dim)[:, None] >> np.arange(dim)) & 1
@@ -153,11 +191,7 @@ def of_cells(points: Array, cells: Array, kind: str, spacing: float) -> Seeds:
     # turned so that the edges are right-handed
     flip = np.linalg.det(edges) < 0
     edges[flip, 0] *= -1.0
-    corners = None
-    if dim == 2:
-        a, b = edges[:, 0], edges[:, 1]
-        corners = where[:, None] + np.stack([-a - b, a - b, a + b, b - a], axis=1)
-    return Seeds(where, volumes * exact / volumes.sum(), edges, corners, exact)
+    return Seeds(where, volumes * exact / volumes.sum(), edges, None, exact, box)
 
 
 def boxes_of_simplices(x: Array) -> Array:

@@ -26,7 +26,7 @@ class Splitter:
         self.kind, self.shape, self.longest = kind, shape, longest
         self.total = 0
         self._way = 0.0
-        if longest > 0 and not shape.spread:
+        if not shape.spread or kind.small:
             self.longest = 0.0  # a domain that does not stretch does not outgrow its cell
 
     def edges(self, body: Body, h: float) -> Array:
@@ -36,7 +36,7 @@ class Splitter:
         if self.shape.domain == "corners":
             c = place.reshape(-1, 4, 2) / h
             return 0.5 * np.stack([c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3], c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]], axis=1)
-        F = body.own("F")
+        F = body.stretch[: body.n]
         full = F.reshape(-1, 3, 3) if d == 3 else F[:, :4].reshape(-1, 2, 2)
         half = place.reshape(-1, d, d) if self.shape.domain == "edges" else place[:, :, None] * np.eye(d)
         return 2.0 * np.einsum("nij,naj->nai", full, half)
@@ -58,6 +58,12 @@ class Splitter:
         if count:
             self.total = 0
         return count > 0
+
+    def state(self) -> tuple[float, ...]:
+        return (self._way,)
+
+    def restore(self, way: float) -> None:
+        self._way = way
 
     def _split(self, body: Body, h: float) -> int:
         """Halve the domains of own points that are too long; mass, momentum and volume are kept. Returns how many."""
@@ -95,7 +101,7 @@ class Splitter:
         place = fields["domain"].copy()
         F = fields["F"]
         full = F.reshape(-1, 3, 3) if d == 3 else F[:, :4].reshape(-1, 2, 2)
-        common = {"mass": 0.5 * fields["mass"], "volume": 0.5 * fields["volume"]}
+        common = {name: 0.5 * fields[name] for name in ("mass", "volume", "grip")}
         if self.shape.domain == "corners":
             c = place.reshape(-1, 4, 2)
             # edge 0 joins corners 0-1 and 3-2, edge 1 corners 0-3 and 1-2
@@ -142,6 +148,12 @@ class Watch:
         self.shape = shape
         self._way = np.inf
         self._start: int | None = None
+
+    def state(self) -> tuple[float, ...]:
+        return self._way, -1.0 if self._start is None else float(self._start)
+
+    def restore(self, way: float, start: float) -> None:
+        self._way, self._start = way, None if start < 0 else int(start)
 
     def look(self, model: Any, moved: float) -> None:
         """Raises ``Breakdown("fracture")``. moved : way of the fastest point since the last call (cells). Collective."""
