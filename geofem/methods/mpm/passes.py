@@ -604,10 +604,10 @@ def make_neighbours(kind: Kind) -> Callable[..., None]:
     @inlined
     def add(out, n, f, got):  # type: ignore[no-untyped-def]
         w, p = got
+        k = 0
+        while k < out.shape[1] - 1 and out[p, k] >= 0:
+            k += 1
         if f * w > SHARED:
-            k = 0
-            while k < out.shape[1] - 1 and out[p, k] >= 0:
-                k += 1
             out[p, k] = n
 
     reach = SHAPES[kind.shape].over(dim)(putting(give, add))
