@@ -38,6 +38,8 @@ UNREST = 0.5
 crossed cells, local damping can hold it by the noise. What is left of that noise at a true rest is below 0.4."""
 PATIENCE = 400
 """A load step that has not come to rest after so many passages of a wave through the body has failed."""
+TOO_FAST = 10.0
+"""A speed of so many times that of a wave and the largest at the start together is no motion, but a step that is too long."""
 PARTNERS = 4096
 """Nodes of small mass that can be joined to a neighbour in one step."""
 
@@ -90,6 +92,7 @@ class ExplicitMpm:
         self._contacts = [Contact(rigid) for rigid in scene.rigids]
         self._strayed = 0.0
         self._fastest = self._largest_speed()
+        self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))
         self._unbalance = self._reactions = 0.0
         self._faulty: list[tuple[Any, ...]] = [()] * threads  # body, fault and point of each thread's first fault in a step
         self._places = answers.Places(scene, seeds, self.comm)
@@ -205,7 +208,7 @@ class ExplicitMpm:
         """One explicit step; in a scene without inertia many of them, of which only the last one moves ``t``.
 
         Raises ``Breakdown``: ``tangle`` (det F <= 0 at a point), ``volume`` (a point left the grid), ``cfl`` (velocities
-        beyond ten wave speeds), ``energy`` (twice the energy that was ever put in), ``newton`` (no rest under a load),
+        beyond all measure: see ``TOO_FAST``), ``energy`` (twice the energy that was ever put in), ``newton`` (no rest under a load),
         ``fracture`` (a body that is to stay whole fell apart).
         """
         if self.scene.dynamic:
@@ -474,8 +477,8 @@ class ExplicitMpm:
         self.balance.add(sums)
         if fault:
             raise Breakdown(*fault)
-        if not self._fastest <= (10.0 * self.wave_speed) ** 2:  # nan fails too
-            raise Breakdown("cfl", f"a material point is faster than ten wave speeds at t = {self._now:.4g}")
+        if not self._fastest <= self._too_fast**2:  # nan fails too
+            raise Breakdown("cfl", f"a material point is faster than {self._too_fast:.4g} m/s at t = {self._now:.4g}")
         if self.balance.exploded:
             raise Breakdown("energy", f"more than twice the energy put in is there at t = {self._now:.4g}")
         for body in self.bodies:

@@ -694,6 +694,15 @@ def carry_corners(domain, lo, hi, nodes, lattice, dt):  # type: ignore[no-untype
                 domain[p, 2 * c + k] += dt * v
 
 
+@njit(**OPTIONS)
+def note(row, n):  # type: ignore[no-untyped-def]
+    """Put n in the first free place of the row, in the last if there is none."""
+    k = 0
+    while k < len(row) - 1 and row[k] >= 0:
+        k += 1
+    row[k] = n
+
+
 @cache
 def make_neighbours(kind: Kind) -> Callable[..., None]:
     """The nodes of the first ``count`` points that have weight: (q, count, lattice, out (count, most)) -> None; -1 fills the rest."""
@@ -707,10 +716,7 @@ def make_neighbours(kind: Kind) -> Callable[..., None]:
     def add(out, n, f, got):  # type: ignore[no-untyped-def]
         w, p = got
         if f * w > SHARED:
-            k = 0
-            while k < out.shape[1] - 1 and out[p, k] >= 0:
-                k += 1
-            out[p, k] = n
+            note(out[p], n)
 
     reach = SHAPES[kind.shape].over(dim)(putting(give, add))
 
