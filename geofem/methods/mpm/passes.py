@@ -213,10 +213,12 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
     averaged = 3 if axial else dim
     spread, fixed = opens and SHAPES[kind.shape].spread, opens and not SHAPES[kind.shape].spread
     reach = SHAPES[kind.shape].reach
+    # a domain may pass a wall by its half, in the nodes beyond the room; only splines end at the room's edge
+    ends = SHAPES[kind.shape].ends
 
     @njit(**OPTIONS)
     def scatter(q, lo, hi, nodes, lattice, cells, marks):  # type: ignore[no-untyped-def]
-        per_h, pad = lattice[3], lattice[8]
+        per_h, pad = lattice[3], lattice[8] if ends else 0
         ordered = len(q.order) > 0
         i0 = j0 = k0 = g.FAR
         i1 = j1 = k1 = 0
