@@ -38,7 +38,7 @@ SHARE = 0.998
 """Share of the mass behind the front, and below the top."""
 ELASTIC = {"E": 1.98e6, "nu": 0.23}
 PHI = 23.2
-CONE = ELASTIC | {"c": 0.0, "phi": PHI, "psi": 0.0}
+CONE = ELASTIC | {"c": 0.0, "phi": PHI, "psi": 0.0, "gap": 1.0}
 GRAINS = ELASTIC | {"mu_s": math.sin(math.radians(PHI)), "mu_2": math.sin(math.radians(PHI)) + 0.26, "I_0": 0.279, "d": 1.15e-3}
 """At rest mu_s bears as much shear in plane strain as phi does; mu_2 - mu_s and I_0 of glass beads (Jop and others 2006)."""
 LAWS = {"mohr_coulomb": CONE, "drucker_prager": CONE, "mu_i": GRAINS}

@@ -100,7 +100,7 @@ def hold(nodes: Any, dim: int, held: Any, least_mass: float, dt: float, gravity:
 
 
 @njit(**OPTIONS)
-def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, sums: Any) -> None:
+def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, gravity: Any, sums: Any) -> None:
     """Take from the nodes of walls the velocity into the wall, and by Coulomb's law some of that along it, after ``accelerate``."""
     places, axes, signs, friction, reaction, mine = walls
     for k in range(len(places)):
@@ -118,7 +118,7 @@ def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, sums: A
             for c in range(dim):
                 old = nodes[n, VELOCITY + c]
                 new = 0.0 if c == axis else kept * old
-                change = new - old
+                change, a = new - old, nodes[n, VELOCITY + dim + c]
                 nodes[n, VELOCITY + c] = new
                 nodes[n, VELOCITY + dim + c] += change / dt
                 reaction[k, c] = m * change / dt
@@ -126,8 +126,9 @@ def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, sums: A
                     sums[g.IMPULSE + c] += m * change
                     sums[g.REACTIONS] += abs(reaction[k, c])
                     sums[g.UNBALANCE] -= abs(reaction[k, c])
-                    # friction takes energy out of the bodies: force times the mean velocity in the step
-                    sums[g.WORK] += 0.5 * m * change * (old + new)
+                    # force times the mean velocity of the whole step, which began at old - dt a: a body at rest on the wall
+                    # takes no work from it; gravity's work was counted with the velocity before the wall
+                    sums[g.WORK] += 0.5 * m * change * (old - dt * a + new) + dt * m * gravity[c] * change
 
 
 @njit(**OPTIONS)

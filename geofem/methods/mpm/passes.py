@@ -215,9 +215,9 @@ def make_det(kind: Kind) -> Callable[..., float]:
 
 
 @njit(**OPTIONS)
-def find_escaped(q, lo, hi, lattice, reach, marks):  # type: ignore[no-untyped-def]
-    """Mark a point lo ... hi whose nodes are not all on the grid."""
-    low, count, pad = (lattice[0], lattice[1], lattice[2]), (lattice[4], lattice[5], lattice[6]), lattice[8]
+def find_escaped(q, lo, hi, lattice, pad, reach, marks):  # type: ignore[no-untyped-def]
+    """Mark a point lo ... hi whose nodes are not all on the grid, or that is within ``pad`` nodes of its edge."""
+    low, count = (lattice[0], lattice[1], lattice[2]), (lattice[4], lattice[5], lattice[6])
     for p in range(lo, hi):
         e = q.order[p] if len(q.order) > 0 else p
         for c in range(q.at.shape[1]):
@@ -242,10 +242,12 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
     averaged = 3 if axial else dim
     spread, fixed = opens and SHAPES[kind.shape].spread, opens and not SHAPES[kind.shape].spread
     reach = SHAPES[kind.shape].reach
+    # a domain may pass a wall by its half, in the nodes beyond the room; only splines end at the room's edge
+    ends = SHAPES[kind.shape].ends
 
     @njit(**OPTIONS)
     def scatter(q, lo, hi, nodes, lattice, cells, marks):  # type: ignore[no-untyped-def]
-        per_h, pad = lattice[3], lattice[8]
+        per_h, pad = lattice[3], float(lattice[8]) if ends else reach
         ordered = len(q.order) > 0
         i0 = j0 = k0 = g.FAR
         i1 = j1 = k1 = 0
@@ -258,7 +260,7 @@ def make_scatter(kind: Kind, what: str) -> Callable[..., None]:
                     least, most = min(least, s), max(most, s)
                 least, most, n = (least - start) * per_h, (most - start) * per_h, count[c]
                 if not (least >= pad and most <= n - 1 - pad and most + reach < n - 1):
-                    find_escaped(q, lo, hi, lattice, reach, marks)
+                    find_escaped(q, lo, hi, lattice, pad, reach, marks)
                     return
                 marks[g.BOX + 2 * c] = min(marks[g.BOX + 2 * c], int(least - reach))
                 marks[g.BOX + 2 * c + 1] = max(marks[g.BOX + 2 * c + 1], int(most + reach) + 1)

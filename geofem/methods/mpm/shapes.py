@@ -42,6 +42,7 @@ class Shape:
     domain : what ``Points.domain`` holds of a point: "half" the half lengths (dim) in the reference configuration;
         "edges" the half edge vectors there (dim * dim, one after the other); "corners" the present corners (4 x, y).
     spread : the domain has any size, as it stretches with the deformation.
+    ends : the functions change at the edge of the room, beyond which no point may go.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Shape:
     pad: int = 0
     domain: str = "half"
     spread: bool = False
+    ends: bool = False
 
 
 # --- weights along one direction ----------------------------------------------------------------------------------------
@@ -329,8 +331,8 @@ SHAPES = {
         Shape("cpgimp", spans, pad=2, spread=True),
         Shape("cpdi", parallelograms, pad=2, domain="edges", spread=True),
         Shape("cpdi2", quadrilaterals, pad=2, domain="corners", spread=True),
-        Shape("bspline2", product(bspline2, 3), reach=0.5, pad=1),
-        Shape("bspline3", product(bspline3, 4), reach=1.0, pad=1),
+        Shape("bspline2", product(bspline2, 3), reach=0.5, pad=1, ends=True),
+        Shape("bspline3", product(bspline3, 4), reach=1.0, pad=1, ends=True),
     )
 }
 
