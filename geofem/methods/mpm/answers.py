@@ -18,28 +18,42 @@ from geofem.scene import Array, Probe, Scene
 
 
 class Balance:
-    """Energies (J) and momentum (N s) of all ranks' points, carried along step by step."""
+    """Energies (J) and momentum (N s) of all ranks' points, carried along step by step.
 
-    def __init__(self, bodies: list[Body], mass: float):
-        self.mass = mass
+    Velocities belong to the middle of a step, places and stresses to its end (with update stress first to its beginning).
+    """
+
+    def __init__(self, bodies: list[Body], mass: float, stress_first: bool):
+        self.mass, self.stress_first = mass, stress_first
         v = np.concatenate([body.own("v") for body in bodies])
         m = np.concatenate([body.own("mass") for body in bodies])
         self.kinetic = self.start = float(0.5 * m @ np.sum(v**2, axis=1))
         self.momentum = np.zeros(3)
         self.momentum[: v.shape[1]] = m @ v
         self.internal = self.external = 0.0
+        self.last = np.array([self.kinetic, 0.0, 0.0])
+        """Kinetic energy before the last step, work of the stresses and of the loads in it."""
         self.largest_kinetic, self.largest_work = self.kinetic, 0.0
         self.impulse = np.zeros(3)
         self.volume = sum(float(body.own("volume").sum()) for body in bodies)
 
     def add(self, sums: Array) -> None:
         """Carry on by the sums of one step."""
+        self.last[:] = self.kinetic, sums[g.STRAIN_WORK], sums[g.WORK]
         self.kinetic = float(sums[g.KINETIC])
         self.internal += float(sums[g.STRAIN_WORK])
         self.external += float(sums[g.WORK])
         self.impulse += sums[g.IMPULSE : g.IMPULSE + 3]
         self.largest_kinetic = max(self.largest_kinetic, self.kinetic)
         self.largest_work = max(self.largest_work, abs(self.external))
+
+    def energy(self) -> dict[str, float]:
+        """The three at one instant, so that their sum drifts by dt squared and not by dt: the middle of the last step or, with
+        update stress first, its beginning."""
+        before, strain_work, work = self.last.tolist()
+        if self.stress_first:
+            return {"kinetic": 0.5 * (before + self.kinetic), "internal": self.internal, "external": self.external - work}
+        return {"kinetic": self.kinetic, "internal": self.internal - 0.5 * strain_work, "external": self.external - 0.5 * work}
 
     @property
     def exploded(self) -> bool:
@@ -64,11 +78,11 @@ class Balance:
 
     def state(self) -> Array:
         head = [self.kinetic, self.internal, self.external, self.largest_kinetic, self.largest_work]
-        return np.array([*head, *self.impulse])
+        return np.array([*head, *self.impulse, *self.last])
 
     def restore(self, state: Array) -> None:
         self.kinetic, self.internal, self.external, self.largest_kinetic, self.largest_work = state[:5].tolist()
-        self.impulse[:] = state[5:]
+        self.impulse[:], self.last[:] = state[5:8], state[8:]
 
 
 class Places:
