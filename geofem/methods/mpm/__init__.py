@@ -70,7 +70,7 @@ class Mpm:
         flip : share of flip in its blend with pic: 1 keeps the energy and the noise; by default 1, and 0.99 in a scene without
             inertia. xpic : its order m; 1 is pic, and flip the limit.
         scheme : when the stress is updated: usf first, usl last, musl last with velocities mapped anew.
-        cfl : step times (wave speed + largest speed) over the size of a cell.
+        cfl : step times (wave speed + largest speed) over the size of a cell; the wave speed is that of the deformed material.
         damping : local damping, the share of the out-of-balance force that acts against the motion (Cundall 1987); by default
             0, and 0.7 in a scene without inertia.
         small_mass : nodes with less than this share of a point's mass move as one with their heaviest neighbour.

@@ -31,6 +31,8 @@ WORTH_SORTING = 20_000
 """Fewer points than this fit into a processor's cache in any order."""
 RAMP = 5.0
 """Passages of a wave through the body in which a load is raised; the slowest axial mode takes four for one swing."""
+SOUND = 8
+"""Steps between two looks at the speed of waves in what a material that stiffens has become."""
 TURN = 10_000_000
 """Point steps, about a second, after which a scene without inertia gives the run a turn."""
 UNREST = 0.5
@@ -79,12 +81,13 @@ class ExplicitMpm:
         self._started(seeds)
         self.wave_speed = max(self._speeds)
         low, high = g.bodies(scene, bounds)
+        self._sound = self._speed_of_waves()
         self.passage = float(np.linalg.norm(high - low)) / self.wave_speed
         mass = sum(float(body.own("mass").sum()) for body in self.bodies)
         self.point_mass = mass / sum(body.n for body in self.bodies)
         self.least_mass, self.small_mass = LEAST_MASS * self.point_mass, small_mass * self.point_mass
         self._partner, self._lent = np.zeros((PARTNERS, 2), np.int64), np.zeros(PARTNERS)
-        self.balance = answers.Balance(self.bodies, mass, spent)
+        self.balance = answers.Balance(self.bodies, mass, spent, scheme == "usf")
         self.splitter = Splitter(self.kind, self.shape, split)
         self.watch = Watch(scene, self.shape)
         self._gravity = [load for load in scene.loads if load.kind == "gravity"]
@@ -93,7 +96,7 @@ class ExplicitMpm:
         self._strayed = 0.0
         self._fastest = self._largest_speed()
         self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))
-        self._unbalance = self._reactions = 0.0
+        self._unbalance = self._reactions = self._last_dt = 0.0
         self._faulty: list[tuple[Any, ...]] = [()] * threads  # body, fault and point of each thread's first fault in a step
         self._places = answers.Places(scene, seeds, self.comm)
         self._divide()
@@ -118,6 +121,14 @@ class ExplicitMpm:
     @property
     def _speeds(self) -> list[float]:
         return [body.law.wave_speed(body.par, region.material.density) for body, region in zip(self.bodies, self.scene.regions)]
+
+    def _speed_of_waves(self) -> float:
+        """The largest speed of compression waves in the bodies as they are now (m/s). Collective."""
+        speeds = [0.0]
+        for body, region in zip(self.bodies, self.scene.regions):
+            if not self.kind.small and body.law.stretched_speed is not None and body.n:
+                speeds.append(body.law.stretched_speed(body.own("F"), body.par, region.material.density))
+        return max(max(self._speeds), self.comm.allreduce(max(speeds), op=MPI.MAX))
 
     def _weakening(self, t: float) -> float:
         return self.scene.weakening(t) if self.scene.weakening is not None else 1.0
@@ -221,7 +232,7 @@ class ExplicitMpm:
             self._relax(dt)
 
     def _courant(self) -> float:
-        return self.cfl * self.h / (self.wave_speed + math.sqrt(self._fastest))
+        return self.cfl * self.h / (self._sound + math.sqrt(self._fastest))
 
     def _push(self, dt: float) -> None:
         """Raise the load by dt at a steady rate: the whole of it takes ``passages`` passages of a wave through the body."""
@@ -289,6 +300,7 @@ class ExplicitMpm:
     def _advance(self, dt: float, t1: float) -> None:
         """One explicit step of dt (s) that ends at the scene's time t1."""
         gravity = self._loads(dt, t1)
+        self._last_dt = dt
         self._sums[:] = 0.0
         self._marks[:] = 0
         self._faulty = [()] * self.threads
@@ -483,6 +495,8 @@ class ExplicitMpm:
             raise Breakdown("energy", f"more than twice the energy put in is there at t = {self._now:.4g}")
         for body in self.bodies:
             body.settle()
+        if self.work["steps"] % SOUND == 0:
+            self._sound = self._speed_of_waves()
         moved = math.sqrt(self._fastest) * dt / self.h
         changed = self.splitter.check(self.bodies, self.h, moved, self.comm)
         self._strayed += dt * math.sqrt(2.0 * self.balance.kinetic / self.balance.mass) / self.h
@@ -559,9 +573,13 @@ class ExplicitMpm:
 
     def energy(self) -> dict[str, float]:
         """Kinetic energy of the points, stored energy or else work of the stresses, and work of loads and supports since t = 0 (J per
-        metre). Collective."""
-        internal = self.balance.stored(self.bodies, self.comm)
-        return {"kinetic": self.balance.kinetic, "internal": internal, "external": self.balance.external}
+        metre), at one instant. Collective."""
+        balance, dim, grid = self.balance, self.grid.dim, self.grid
+        if balance.spent:
+            return balance.energy()
+        # the change of the nodes' kinetic energy in the last step is the work done on them, less that which the stresses took
+        gained = g.gained(grid.nodes, dim, self._box, grid.rows, grid.own, self._last_dt)
+        return balance.energy(balance.stored(self.bodies, self.comm), balance.last[2] - self.comm.allreduce(gained))
 
     def checks(self) -> dict[str, float | None]:
         """Drift of the mass, the momentum that no force accounts for against the largest there has been, and drift of the volume."""
@@ -602,8 +620,9 @@ class ExplicitMpm:
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
             "last": np.array(
-                [self._fastest, self._unbalance, self._reactions, self._strayed, *self.splitter.state(), *self.watch.state()]
-            ),
+                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound,
+                 *self.splitter.state(), *self.watch.state()]
+            ),  # fmt: skip
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
 
@@ -622,7 +641,7 @@ class ExplicitMpm:
             body.settle()
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
-        self._fastest, self._unbalance, self._reactions, self._strayed, split, *watch = state["last"].tolist()
+        self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, split, *watch = state["last"].tolist()
         self.splitter.restore(split)
         self.watch.restore(*watch)
         self.work["steps"], self.work["point_steps"] = state["work"].tolist()
