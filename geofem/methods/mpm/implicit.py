@@ -147,8 +147,8 @@ class ImplicitMpm:
     def _count(self, system: System) -> None:
         self.work["newton"] += system.newton_iterations
         system.newton_iterations = 0
-        self.work["linear"] += system.solver.iterations - self.__dict__.setdefault("_linear", {}).get(id(system), 0)
-        self._linear = {id(system): system.solver.iterations}
+        self.work["linear"] += system.solver.iterations - system.linear_iterations
+        system.linear_iterations = system.solver.iterations
 
     def _loads(self, system: System, t: float) -> None:
         """Forces of the points at the scene's time t; the strength at t."""

@@ -78,7 +78,7 @@ class System:
         self.touch: Callable[[Array], tuple[Array, Array]] | None = None
         self.nodal = np.zeros((self.blocks, self.dim))
         self.dt = 1.0
-        self.newton_iterations = 0
+        self.newton_iterations = self.linear_iterations = 0
 
     # --- set-up -------------------------------------------------------------------------------------------------------
     def _share_penalty(self, active: Array, there: Array, penalty: float) -> None:
