@@ -80,8 +80,8 @@ class Mpm:
         small_mass : nodes with less than this share of a point's mass move as one with their heaviest neighbour.
         cure : none, or cell: volumetric strain and mean stress are averaged over the points of a cell, against locking.
         split : a point is split in two when its domain is longer than so many cells; 0 never.
-        load_steps : (explicit: 1) loads at which a scene without inertia is brought to rest, that is to a kinetic energy below ``tolerance``
-            (1e-4) times the work of the loads. The fewer the better where points cross cells: each crossing leaves a strain behind.
+        load_steps : (explicit: 1) loads at which a scene without inertia is brought to rest, that is to a kinetic energy below
+            ``tolerance`` (1e-4) times the work of the loads. The fewer the better where points cross cells: each crossing leaves a strain behind.
         passages : push the load on steadily instead, all of it in so many passages of a wave through the body.
         sort_after : the points are put in the order of their cells when they have crossed so many borders each, on average.
         threads : of the passes over points and nodes.
@@ -97,7 +97,9 @@ class Mpm:
             raise unknown("solver", solver, SOLVERS)
         implicit, plastic = solver == "implicit", any(materials.LAWS[r.material.law].history for r in scene.regions)
         if implicit and scene.dynamic:
-            raise Mistake(f"{self.name}: solver=implicit is for bodies at rest, and scene {scene.name} is in motion; use explicit")
+            raise Mistake(
+                f"{self.name}: solver=implicit is for bodies at rest, and scene {scene.name} is in motion; use explicit"
+            )
         load_steps = load_steps or (10 if implicit else 1)
         if tolerance is None:
             tolerance = (1e-5 if plastic else 1e-9) if implicit else 1e-4

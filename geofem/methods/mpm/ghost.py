@@ -59,7 +59,7 @@ def ghost_stiffness(
     second = np.array([1.0, -2.0, 1.0])
     rows, columns, values = [np.empty(0, np.int64)], [np.empty(0, np.int64)], [np.empty(0)]
     for axis, cells in faces:
-        block = np.ones((1, 1))
+        block: Array = np.ones((1, 1))
         for c in range(dim):
             block = np.kron(block, np.outer(second, second) if c == axis else line)
         nodes = [dof_of_node[tuple((cells + np.array(o)).T)] for o in offsets(dim, axis)]

@@ -64,7 +64,7 @@ def divide(comm: MPI.Intracomm, grid: g.Grid, bodies: list[Body], halo: int) -> 
 
 def gather(comm: MPI.Intracomm, bodies: list[Body]) -> dict[str, Array]:
     """All points of all bodies for a checkpoint; empty but on rank 0. Collective."""
-    out = {}
+    out: dict[str, Array] = {}
     for k, body in enumerate(bodies):
         fields = parallel.gathered(comm, body)
         if fields is not None:

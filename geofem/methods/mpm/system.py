@@ -47,7 +47,14 @@ class System:
     """
 
     def __init__(
-        self, background: Background, bodies: list[Body], kind: Kind, extent: float, cells: Array, penalty: float, definite: bool
+        self,
+        background: Background,
+        bodies: list[Body],
+        kind: Kind,
+        extent: float,
+        cells: Array,
+        penalty: float,
+        definite: bool,
     ):
         self.background, self.kind, self.bodies = background, kind, bodies
         grid, self.dim = background.grid, kind.dim
@@ -76,6 +83,7 @@ class System:
             self._make_matrix(definite)
         self.load = np.zeros((len(self.radius), self.dim))
         self.touch: Callable[[Array], tuple[Array, Array]] | None = None
+        self.contact, self.spring = np.zeros_like(self.load), np.zeros((0, self.dim, self.dim))
         self.nodal = np.zeros((self.blocks, self.dim))
         self.dt = 1.0
         self.newton_iterations = self.linear_iterations = 0
@@ -169,7 +177,8 @@ class System:
             du = self.unknown.x.array.reshape(self.blocks, self.dim)
             G, u = self.increments(du)
             valid = self.response.update(G, self.dt)
-            self.contact, self.spring = self.touch(u) if self.touch else (np.zeros_like(u), np.zeros((0, self.dim, self.dim)))
+            if self.touch:
+                self.contact, self.spring = self.touch(u)
             self.internal = self._spread(self.response.stress if valid else np.zeros_like(G), np.zeros_like(u))
             self.external = -self._spread(np.zeros_like(G), self.load + self.contact) + self.nodal
             held = self._ghost @ du
@@ -222,9 +231,7 @@ class System:
         dofs = self._held.astype(np.int32)
         bcs = [fem.dirichletbc(value, [dofs, dofs], self.space.sub(0))]
         stabilise = (lambda share: None) if plastic else None
-        newton = Newton(
-            self.unknown, bcs, self.solver, self.evaluate, self.linearise, self._lift, tolerance, stabilise
-        )
+        newton = Newton(self.unknown, bcs, self.solver, self.evaluate, self.linearise, self._lift, tolerance, stabilise)
         try:
             newton.solve()
         finally:

@@ -49,8 +49,8 @@ def make_increments(dim: int, axial: bool) -> Callable[..., None]:
 def make_average(g: int, d: int, small: bool) -> Callable[..., None]:
     """How the averaged increment depends on (G, theta).
 
-    (f (N, g), theta (N,), T (N, g, g + 1), D (N, g)) -> None: T, the derivative of what the law sees with respect to (G, theta), and D, that
-    of det f (of tr G at small strain) with respect to G. d : components of the volume that is averaged.
+    (f (N, g), theta (N,), T (N, g, g + 1), D (N, g)) -> None: T, the derivative of what the law sees with respect to (G, theta), and
+    D, that of det f (of tr G at small strain) with respect to G. d : components of the volume that is averaged.
     """
     rows, columns = (ROWS_PLANE, COLUMNS_PLANE) if g == 5 else (ROWS_SOLID, COLUMNS_SOLID)
     last = 4 if g == 5 and d == 2 else g  # components from here on take no part in the average
@@ -96,7 +96,7 @@ def make_average(g: int, d: int, small: bool) -> Callable[..., None]:
 def make_chain(g: int, d: int, small: bool) -> Callable[..., None]:
     """(f, theta, ratio, T, D, P, A, H) -> None: the tangent H (N, g + 1, g + 1) of the points with respect to (G, theta).
 
-    ratio (N,) : the cell's force on its volume over the sum of the volumes, see ``Averaged``.
+    ratio (N,) : the cell's force on its volume over the sum of the volumes, see ``Response.update``.
     """
     rows, columns = (ROWS_PLANE, COLUMNS_PLANE) if g == 5 else (ROWS_SOLID, COLUMNS_SOLID)
     last = 4 if g == 5 and d == 2 else g
@@ -121,11 +121,10 @@ def make_chain(g: int, d: int, small: bool) -> Callable[..., None]:
             t = theta[p]
             kappa[:] = 0.0
             kappa[g] = 1.0 / t
-            power, s = 0.0, 0.0
+            power = 0.0
+            s = T[p, 0, 0] + T[p, 0, g] * t * inverse[0, 0]
             for a in range(last):
                 kappa[a] = -inverse[columns[a], rows[a]]
-                s = T[p, 0, 0] + T[p, 0, g] * t * inverse[columns[0], rows[0]]
-            for a in range(last):
                 power += s * P[p, a] * f[p, a]
             for a in range(g + 1):
                 for b in range(g + 1):
@@ -135,7 +134,7 @@ def make_chain(g: int, d: int, small: bool) -> Callable[..., None]:
                     if b < last:
                         H[p, a, b] += s / d * P[p, b] * kappa[a]
             H[p, g, g] -= power / d / (t * t)
-            j = D[p, 0] / inverse[columns[0], rows[0]]
+            j = D[p, 0] / inverse[0, 0]
             for a in range(last):
                 for b in range(last):
                     turned = inverse[columns[a], rows[b]] * inverse[columns[b], rows[a]]
