@@ -20,8 +20,8 @@ from geofem.scene import Array, Probe, Scene
 class Balance:
     """Energies (J) and momentum (N s) of all ranks' points, carried along step by step."""
 
-    def __init__(self, bodies: list[Body], mass: float):
-        self.mass = mass
+    def __init__(self, bodies: list[Body], mass: float, spent: bool):
+        self.mass, self.spent = mass, spent
         v = np.concatenate([body.own("v") for body in bodies])
         m = np.concatenate([body.own("mass") for body in bodies])
         self.kinetic = self.start = float(0.5 * m @ np.sum(v**2, axis=1))
@@ -41,9 +41,19 @@ class Balance:
         self.largest_kinetic = max(self.largest_kinetic, self.kinetic)
         self.largest_work = max(self.largest_work, abs(self.external))
 
+    def stored(self, bodies: list[Body], comm: MPI.Intracomm) -> float:
+        """The energy stored in elastic bodies, or the work that the stresses of others have taken (J). Collective."""
+        if self.spent:
+            return self.internal
+        own = 0.0
+        for body in bodies:
+            assert body.law.energy is not None
+            own += float(body.own("volume") @ body.law.energy(body.own("F"), body.par)) if body.n else 0.0
+        return float(comm.allreduce(own))
+
     @property
     def exploded(self) -> bool:
-        """More than twice the energy is there that was ever put in; nan is no explosion."""
+        """More than twice the energy is there that was ever put in (stored energy apart, which is never negative); nan is not."""
         return self.kinetic + self.internal - self.external - self.start > self.start + self.largest_work
 
     def checks(self, bodies: list[Body], comm: MPI.Intracomm) -> dict[str, float | None]:

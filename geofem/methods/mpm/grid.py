@@ -25,8 +25,8 @@ COLUMNS = {2: 8, 3: 12}
 """Columns per node: a cache line in the plane."""
 
 # Sums over one step: kinetic energy and largest squared speed of the points after it; work (without that of the stresses), work
-# of the stresses; absolute nodal forces out of balance, and absolute reactions (N); points that changed cell; impulse (N s).
-KINETIC, SPEED2, WORK, STRAIN_WORK, UNBALANCE, REACTIONS, CROSSED, IMPULSE, SUMS = 0, 1, 2, 3, 4, 5, 6, 7, 10
+# of the stresses; absolute nodal forces out of balance, and absolute reactions (N); impulse (N s).
+KINETIC, SPEED2, WORK, STRAIN_WORK, UNBALANCE, REACTIONS, IMPULSE, SUMS = 0, 1, 2, 3, 4, 5, 6, 9
 # Marks of one step: a fault and the point that has it; the box of nodes that the points reach, first and last of each axis.
 FAULT, POINT, BOX, MARKS = 0, 1, 2, 8
 TANGLED, ESCAPED = 1, 2

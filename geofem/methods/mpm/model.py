@@ -64,17 +64,16 @@ class ExplicitMpm:
 
         axial, dim = scene.plane == "axisymmetric", scene.gdim
         loaded = bool(scene.rigids) or any(load.kind == "body" for load in scene.loads)
-        self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, cure)
+        laws = [materials.get(region.material.law) for region in scene.regions]
+        spent = any(law.energy is None for law in laws)
+        self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, spent, cure)
         seeds = fill_all(scene, self.h / ppc, axial)
         bounds = g.shape_bounds(scene) or [s.bounds for s in seeds]
         self.grid = g.make_grid(scene, self.h, self.shape, bounds)
-        laws = [materials.get(region.material.law) for region in scene.regions]
         self.bodies = []
         for region, law, filled in zip(scene.regions, laws, seeds, strict=True):
             par = law.parameters(region.material, self._weakening(0.0))
-            self.bodies.append(
-                Body(filled, law, par, region.material.density, self.kind, self.shape.domain, self.h, bool(scene.rigids))
-            )
+            self.bodies.append(Body(filled, region.material, par, self.kind, self.shape.domain, self.h, bool(scene.rigids)))
         self._started(seeds)
         self.wave_speed = max(self._speeds)
         low, high = g.bodies(scene, bounds)
@@ -83,13 +82,13 @@ class ExplicitMpm:
         self.point_mass = mass / sum(body.n for body in self.bodies)
         self.least_mass, self.small_mass = LEAST_MASS * self.point_mass, small_mass * self.point_mass
         self._partner, self._lent = np.zeros((PARTNERS, 2), np.int64), np.zeros(PARTNERS)
-        self.balance = answers.Balance(self.bodies, mass)
+        self.balance = answers.Balance(self.bodies, mass, spent)
         self.splitter = Splitter(self.kind, self.shape, split)
         self.watch = Watch(scene, self.shape)
         self._gravity = [load for load in scene.loads if load.kind == "gravity"]
         self._body_loads = [load for load in scene.loads if load.kind == "body"]
         self._contacts = [Contact(rigid) for rigid in scene.rigids]
-        self._crossed = 0
+        self._strayed = 0.0
         self._fastest = self._largest_speed()
         self._unbalance = self._reactions = 0.0
         self._places = answers.Places(scene, seeds, self.comm)
@@ -150,6 +149,7 @@ class ExplicitMpm:
         self.grid.nodes = np.zeros((count, columns))
         self._nodes = [self.grid.nodes, *(np.zeros((count, columns)) for _ in range(self.threads - 1))]
         self._cell_sums = [np.zeros((count if self.kind.cure else 0, 3)) for _ in range(self.threads)]
+        self._scratch = np.zeros((self.threads, passes.SCRATCH))
         self._sums, self._marks = np.zeros((self.threads, g.SUMS)), np.zeros((self.threads, g.MARKS), np.int64)
         bounds = g.shape_bounds(self.scene) or []
         coordinates = g.on_edges(self.grid.coordinates(), bounds, self.h)
@@ -387,11 +387,11 @@ class ExplicitMpm:
         W = 1 + 2 * dim
         if self.scheme == "musl" and kind.transfer == "xpic":
             self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
-        advance = [passes.make_advance(kind, body.law.point if fused else None) for body in self.bodies]
+        advance = [passes.make_advance(kind, body.answer if fused else None) for body in self.bodies]
         self._over_points(
             lambda t, body, k, lo, hi: advance[k](
                 body.cloud, lo, hi, body.n, nodes, self._nodes[t], lattice, body.par, dt, self.flip, self.h,
-                self._sums[t], self._marks[t],
+                self._scratch[t], self._sums[t], self._marks[t],
             )
         )  # fmt: skip
         if self.scheme == "musl":
@@ -411,10 +411,21 @@ class ExplicitMpm:
                 self._sum_cells(passes.make_pressures(kind), (0, 1))
             dilate = passes.make_dilate(kind)
             self._sum_cells(lambda q, lo, hi, lat, cells: dilate(q, lo, hi, nodes, lat, cells, dt), (2,))
-        strain = [passes.make_strain(kind, body.law.point) for body in self.bodies]
+        strain = [passes.make_strain(kind, body.answer) for body in self.bodies]
         self._over_points(
             lambda t, body, k, lo, hi: strain[k](
-                body.cloud, lo, hi, body.n, nodes, lattice, self._cell_sums[0], body.par, dt, self._sums[t], self._marks[t]
+                body.cloud,
+                lo,
+                hi,
+                body.n,
+                nodes,
+                lattice,
+                self._cell_sums[0],
+                body.par,
+                dt,
+                self._scratch[t],
+                self._sums[t],
+                self._marks[t],
             )
         )
 
@@ -468,14 +479,14 @@ class ExplicitMpm:
             body.settle()
         moved = math.sqrt(self._fastest) * dt / self.h
         changed = self.splitter.check(self.bodies, self.h, moved, self.comm)
-        self._crossed += int(sums[g.CROSSED])
-        if changed or self._crossed > self.sort_after * self._total >= self.sort_after * WORTH_SORTING:
+        self._strayed += dt * math.sqrt(2.0 * self.balance.kinetic / self.balance.mass) / self.h
+        if changed or (self._strayed > self.sort_after and self._total >= WORTH_SORTING):
             with phase("sort"):
                 for body in self.bodies:
                     body.N = body.n
                     body.sort(self._cells(body))
                     body.make_room(body.N)
-            self._crossed = 0
+            self._strayed = 0.0
         if changed or self.comm.size > 1:
             self._exchange()
         self.watch.look(self, moved)
@@ -517,14 +528,14 @@ class ExplicitMpm:
         self._box = (0,) * 6
         fused = self.scheme == "usl" and not self.kind.cure
         for body in self.bodies:
-            passes.make_advance(self.kind, body.law.point if fused else None)(
+            passes.make_advance(self.kind, body.answer if fused else None)(
                 body.cloud, 0, 0, 0, self.grid.nodes, self.grid.nodes, self.grid.lattice, body.par, 1.0, self.flip, self.h,
-                self._sums[0], self._marks[0],
+                self._scratch[0], self._sums[0], self._marks[0],
             )  # fmt: skip
             if not fused:
-                passes.make_strain(self.kind, body.law.point)(
+                passes.make_strain(self.kind, body.answer)(
                     body.cloud, 0, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], body.par, 1.0,
-                    self._sums[0], self._marks[0],
+                    self._scratch[0], self._sums[0], self._marks[0],
                 )  # fmt: skip
         self._cuts, self._box = cuts, box
         for name, value in saved.items():
@@ -541,8 +552,10 @@ class ExplicitMpm:
         return self._places.probe(probe, self.bodies, self.t)
 
     def energy(self) -> dict[str, float]:
-        """Kinetic energy of the points, work of the stresses, and work of loads and supports since t = 0 (J per metre)."""
-        return {"kinetic": self.balance.kinetic, "internal": self.balance.internal, "external": self.balance.external}
+        """Kinetic energy of the points, stored energy or else work of the stresses, and work of loads and supports since t = 0 (J per
+        metre). Collective."""
+        internal = self.balance.stored(self.bodies, self.comm)
+        return {"kinetic": self.balance.kinetic, "internal": internal, "external": self.balance.external}
 
     def checks(self) -> dict[str, float | None]:
         """Drift of the mass, the momentum that no force accounts for against the largest there has been, and drift of the volume."""
@@ -582,7 +595,7 @@ class ExplicitMpm:
         return out | {
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
-            "last": np.array([self._fastest, self._unbalance, self._reactions, self._crossed]),
+            "last": np.array([self._fastest, self._unbalance, self._reactions, self._strayed]),
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
 
@@ -601,8 +614,7 @@ class ExplicitMpm:
             body.settle()
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
-        self._fastest, self._unbalance, self._reactions, crossed = state["last"].tolist()
-        self._crossed = int(crossed)
+        self._fastest, self._unbalance, self._reactions, self._strayed = state["last"].tolist()
         self.work["steps"], self.work["point_steps"] = state["work"].tolist()
         self.splitter.total = 0
         self.grid.nodes[:] = 0.0
