@@ -81,7 +81,7 @@ class Mpm:
         cure : none, or cell: volumetric strain and mean stress are averaged over the points of a cell, against locking.
         split : a point is split in two when its domain is longer than so many cells; 0 never.
         load_steps : (explicit: 1) loads at which a scene without inertia is brought to rest, that is to a kinetic energy below
-            ``tolerance`` (1e-4) times the work of the loads. The fewer the better where points cross cells: each crossing leaves a strain behind.
+            ``tolerance`` (1e-4) times the work of the loads. The fewer the better where points cross cells: each crossing leaves a strain.
         passages : push the load on steadily instead, all of it in so many passages of a wave through the body.
         sort_after : the points are put in the order of their cells when they have crossed so many borders each, on average.
         threads : of the passes over points and nodes.

@@ -43,10 +43,12 @@ class ImplicitMpm:
         self.tolerance, self.plastic = tolerance, plastic
         self._dt = self._first_dt = scene.t_end / load_steps
         self.work = {"steps": 0, "newton": 0, "linear": 0, "cuts": 0, "point_steps": 0}
-        self.kind = Kind(shape, scene.gdim, scene.plane == "axisymmetric", scene.strain == "small", "usl", "flip", False, cure)
+        self.kind = Kind(
+            shape, scene.gdim, scene.plane == "axisymmetric", scene.strain == "small", "usl", "flip", False, True, cure
+        )
         self.grid, self.bodies, seeds, self._bounds = setting.make_bodies(scene, self.kind, self.h, ppc)
         mass = sum(float(body.own("mass").sum()) for body in self.bodies)
-        self.balance = answers.Balance(self.bodies, mass)
+        self.balance = answers.Balance(self.bodies, mass, spent=True)
         self.splitter, self.watch = Splitter(self.kind, self.shape, split), Watch(scene, self.shape)
         self._contacts = [Contact(rigid) for rigid in scene.rigids]
         # the modulus of compression waves, of cells in contact and of nodes that hardly any point holds
