@@ -182,9 +182,9 @@ def domains(body: Body, kind: Kind, h: float) -> dict[str, Array]:
         return {"corners": place}
     full = F.reshape(-1, 3, 3) if d == 3 else F[:, :4].reshape(-1, 2, 2)
     if shape.domain == "edges":
-        return {"edges": h * np.einsum("nij,naj->nai", full, place.reshape(-1, d, d)).reshape(len(place), -1)}
+        return {"edges": h * np.einsum("nij,naj->nai", full, place.reshape(-1, d, d)).reshape(len(place), d * d)}
     half = h * place * (np.linalg.norm(full, axis=1) if shape.spread else 1.0)
-    return {"edges": (half[:, :, None] * np.eye(d)).reshape(len(place), -1)}
+    return {"edges": (half[:, :, None] * np.eye(d)).reshape(len(place), d * d)}
 
 
 def snapshot(bodies: list[Body], kind: Kind, h: float, contacts: list[Contact], comm: MPI.Intracomm) -> dict[str, Any]:

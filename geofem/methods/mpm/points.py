@@ -128,7 +128,9 @@ class Body:
     # --- the common order -----------------------------------------------------------------------------------------------
     def sort(self, cell: Array) -> None:
         """Put the own points, in the cells ``cell`` (n,), in the order of their cells, and those of a cell in that of their numbers."""
-        if self.n and max(int(cell.max()), int(self.arrays["id"][: self.n].max())) >= SHIFT:
+        if not self.n:
+            return
+        if max(int(cell.max()), int(self.arrays["id"][: self.n].max())) >= SHIFT:
             raise Breakdown("volume", "more cells or points than the order of points can tell apart (2**31)")
         key = self.arrays["key"]
         key[: self.n] = cell * SHIFT + self.arrays["id"][: self.n]
