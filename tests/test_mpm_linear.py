@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from geofem.methods.mpm.kernels import SCHEMES, SHAPES
 
 from geofem.methods.mpm import LinearMpm
-from geofem.methods.mpm.kernels import SCHEMES, SHAPES
 from geofem.methods.mpm.points import fill
 from geofem.mistake import Breakdown, Mistake
 from geofem.scene import Box, Crack, Load, Material, Polygon, Probe, Region, Ring, Scene, Support

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -24,7 +23,7 @@ from numba import njit
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.deeds import inlined, putting
 from geofem.methods.mpm.grid import OPTIONS
-from geofem.methods.mpm.passes import SHARED, Cloud, Kind, make_neighbours
+from geofem.methods.mpm.passes import Cloud, Kind, make_neighbours
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.scene import Array
 

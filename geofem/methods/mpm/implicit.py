@@ -48,7 +48,7 @@ class ImplicitMpm:
         )
         self.grid, self.bodies, seeds, self._bounds = setting.make_bodies(scene, self.kind, self.h, ppc)
         mass = sum(float(body.own("mass").sum()) for body in self.bodies)
-        self.balance = answers.Balance(self.bodies, mass, spent=True)
+        self.balance = answers.Balance(self.bodies, mass, spent=True, stress_first=False)
         self.splitter, self.watch = Splitter(self.kind, self.shape, split), Watch(scene, self.shape)
         self._contacts = [Contact(rigid) for rigid in scene.rigids]
         # the modulus of compression waves, of cells in contact and of nodes that hardly any point holds

@@ -620,8 +620,15 @@ class ExplicitMpm:
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
             "last": np.array(
-                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound,
-                 *self.splitter.state(), *self.watch.state()]
+                [
+                    self._fastest,
+                    self._unbalance,
+                    self._reactions,
+                    self._strayed,
+                    self._sound,
+                    *self.splitter.state(),
+                    *self.watch.state(),
+                ]
             ),  # fmt: skip
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
