@@ -35,7 +35,7 @@ MARGIN, ROWS, ROW = 6, 9, 4
 
 def make_kind(shape: str) -> Kind:
     """The passes of a run in plane strain without anything special."""
-    return Kind(shape, 2, False, False, "usl", "flip", False, False)
+    return Kind(shape, 2, axial=False, small=False, scheme="usl", transfer="flip", loaded=False, spent=False, cure=False)
 
 
 def make_row(shape: str, at: Array, stretch: float, ppc: int) -> Cloud:
@@ -52,7 +52,10 @@ def make_row(shape: str, at: Array, stretch: float, ppc: int) -> Cloud:
     F = np.tile([stretch, 0.0, 0.0, 1.0, 1.0], (N, 1))
     v = np.zeros((N, 2))
     mass = np.full(N, 1.0 / ppc)
-    return Cloud(x, x, x, v, none, F, none, np.zeros((N, 4)), none, mass, mass, none, domain, np.empty(0, np.int64))
+    return Cloud(
+        X=x, x=x, at=x, v=v, C=none, F=F, L=none, tau=np.zeros((N, 4)), state=none, mass=mass, volume=mass, force=none,
+        domain=domain, stretch=F, order=np.empty(0, np.int64), per_density=1.0,
+    )  # fmt: skip
 
 
 def lattice(count: int) -> tuple[float, float, float, float, int, int, int, int, int]:

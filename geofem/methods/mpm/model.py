@@ -306,7 +306,7 @@ class ExplicitMpm:
         self._faulty = [()] * self.threads
         self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
         rows = self.grid.rows
-        self._over_nodes(lambda thread, box: [g.clear(nodes, box, rows) for nodes in self._nodes[:1]])
+        self._over_nodes(lambda thread, box: g.clear(self.grid.nodes, box, rows))
         self._scatter(START if self.scheme == "usf" else ALL)
         if not self._marks[:, g.FAULT].any():
             if self.scheme == "usf":
@@ -342,7 +342,7 @@ class ExplicitMpm:
                 for contact in self._contacts:
                     contact.force += contact.touch(body, region.material.density * speed**2 / self.h, self.h, dt)
                 self._impulse[: scene.gdim] += dt * force[: body.n].sum(axis=0)
-        return tuple(gravity.tolist())
+        return float(gravity[0]), float(gravity[1]), float(gravity[2])
 
     def _scatter(self, what: str) -> None:
         """Points to the grid."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -87,8 +88,8 @@ class Splitter:
             lengths = np.einsum("nai,nai->na", now, now)
             order = np.argsort(lengths, axis=1)
             changed = False
-            for b, a in ((b, a) for b in range(d) for a in range(b + 1, d)):
-                short, long = order[:, b], order[:, a]
+            for i, j in itertools.combinations(range(d), 2):
+                short, long = order[:, i], order[:, j]
                 k = np.round(np.einsum("ni,ni->n", now[rows, short], now[rows, long]) / lengths[rows, short])
                 changed |= bool(k.any())
                 for edges in (now, new):
