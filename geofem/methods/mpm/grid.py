@@ -29,7 +29,7 @@ COLUMNS = {2: 8, 3: 12}
 KINETIC, SPEED2, WORK, STRAIN_WORK, UNBALANCE, REACTIONS, IMPULSE, SUMS = 0, 1, 2, 3, 4, 5, 6, 9
 # Marks of one step: a fault and the point that has it; the box of nodes that the points reach, first and last of each axis.
 FAULT, POINT, BOX, MARKS = 0, 1, 2, 8
-TANGLED, ESCAPED = 1, 2
+TANGLED, ESCAPED, FOLDED = 1, 2, 3
 FAR = 1 << 40
 ALIKE = 1.0 + 1e-9
 """Masses nearer to each other than this are equal, so that rounding, and with it the number of threads, decides on nothing."""

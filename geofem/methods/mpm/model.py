@@ -31,6 +31,8 @@ WORTH_SORTING = 20_000
 """Fewer points than this fit into a processor's cache in any order."""
 RAMP = 5.0
 """Passages of a wave through the body in which a load is raised; the slowest axial mode takes four for one swing."""
+SAMPLES = 200
+"""Load steps of a load that is pushed on steadily: they cost nothing, and the run is sampled between them."""
 SOUND = 8
 """Steps between two looks at the speed of waves in what a material that stiffens has become."""
 TURN = 10_000_000
@@ -212,8 +214,10 @@ class ExplicitMpm:
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def dt(self) -> float:
-        """The Courant step (s), or the scene's load step."""
-        return self._courant() if self.scene.dynamic else self.scene.t_end / self.load_steps
+        """The Courant step (s), or the share of the scene's load that is next."""
+        if self.scene.dynamic:
+            return self._courant()
+        return self.scene.t_end / (self.load_steps if self.passages is None else max(self.load_steps, SAMPLES))
 
     def step(self, dt: float) -> None:
         """One explicit step; in a scene without inertia many of them, of which only the last one moves ``t``.
@@ -419,7 +423,9 @@ class ExplicitMpm:
         if not fused and self.scheme != "usf":
             self._strain(dt)
         if self.shape.domain == "corners" and not kind.small:
-            self._over_points(lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt))
+            self._over_points(
+                lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt, self._marks[t])
+            )
 
     def _strain(self, dt: float) -> None:
         """Strains and stresses from the velocities on the grid."""
@@ -529,6 +535,8 @@ class ExplicitMpm:
                 place = f"the material point of ({', '.join(f'{v:.4g}' for v in X)}) m, now at ({', '.join(f'{v:.4g}' for v in x)}) m,"
                 if fault == g.ESCAPED:
                     return "volume", f"{place} left the background grid at t = {self._now:.4g}"
+                if fault == g.FOLDED:
+                    return "tangle", f"the domain of {place} is no longer convex at t = {self._now:.4g}"
                 return "tangle", f"{place} is turned inside out (det F <= 0) at t = {self._now:.4g}"
         return None
 

@@ -26,7 +26,7 @@ from numba import njit
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.deeds import AGAIN, FORCES, START, inlined, make_get_gradient, make_get_motion, make_put, putting
 from geofem.methods.mpm.grid import OPTIONS as GRID_OPTIONS
-from geofem.methods.mpm.shapes import SHAPES, make_extent
+from geofem.methods.mpm.shapes import SHAPES, make_extent, turn
 
 Array = np.ndarray
 # Without numba's runtime: its atomic counting of references to rows of arrays took a third of a point's time. The passes can
@@ -681,9 +681,13 @@ def make_tell(kind: Kind) -> Callable[..., None]:
     return tell
 
 
+FLAT = 1e-9
+"""A corner that turns the wrong way by more than this share of the area is past rounding."""
+
+
 @njit(**OPTIONS)
-def carry_corners(domain, lo, hi, nodes, lattice, dt):  # type: ignore[no-untyped-def]
-    """Move the corners (N, 8) of quadrilateral domains with the velocity that the grid has there."""
+def carry_corners(domain, lo, hi, nodes, lattice, dt, marks):  # type: ignore[no-untyped-def]
+    """Move the corners (N, 8) of quadrilateral domains with the velocity that the grid has there; one not convex is marked."""
     x0, y0, _, per_h, _, ny, _, base, _ = lattice
     for p in range(lo, hi):
         for c in range(4):
@@ -694,6 +698,12 @@ def carry_corners(domain, lo, hi, nodes, lattice, dt):  # type: ignore[no-untype
             for k in range(2):
                 v = a * nodes[n, 1 + k] + b * nodes[n + 1, 1 + k] + d * nodes[n + ny, 1 + k] + e * nodes[n + ny + 1, 1 + k]
                 domain[p, 2 * c + k] += dt * v
+        d = domain[p]
+        first, second, third, fourth = turn(d, 0, 2, 6), turn(d, 2, 4, 0), turn(d, 4, 6, 2), turn(d, 6, 0, 4)
+        least = -FLAT * (first + third)
+        # two corners may lie in one place, as at the middle of a disc; so written that nan is a fault
+        if not (first > least and second > least and third > least and fourth > least):
+            marks[g.FAULT], marks[g.POINT] = g.FOLDED, p
 
 
 @njit(**OPTIONS)
