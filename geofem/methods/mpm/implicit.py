@@ -188,11 +188,7 @@ class ImplicitMpm:
             moved = contact.velocity.copy()
             contact.follow(t, t, 1.0)
             contact.velocity = moved
-        return Press(self._contacts, self.bodies, self._moduli_by_cell, self.h)
-
-    @property
-    def _moduli_by_cell(self) -> list[float]:
-        return [modulus / self.h for modulus in self._moduli]
+        return Press(self._contacts, self.bodies, [modulus / self.h for modulus in self._moduli], self.h)
 
     def _forces_at_start(self, system: System) -> tuple[Array, Array, Array]:
         """Forces before the load is raised, for the work that it does."""
@@ -206,7 +202,7 @@ class ImplicitMpm:
         """Move the points with the grid, and carry the balances on."""
         du = system.unknown.x.array.reshape(-1, self.grid.dim)
         held = np.zeros(du.size, bool)
-        held[system._held] = True
+        held[system.held] = True
         held = held.reshape(du.shape)
         left = np.where(held, 0.0, system.force)
         self._imbalance = max(self._imbalance, system.norm(left) / (system.scale or 1.0))

@@ -69,7 +69,7 @@ class Limits:
         needed[rows, axis] = 0.0
         size, most = np.linalg.norm(needed, axis=1), friction * np.maximum(out, 0.0)
         slips = there & (modes == STICKING) & (friction < 1e300) & (size > most)
-        modes[slips] = SLIDING if len(slips) else SLIDING
+        modes[slips] = SLIDING
         was = force.copy()
         force[:] = np.where(there[:, None] & (modes != FREE)[:, None], system.force[block], 0.0)
         slides = modes == SLIDING

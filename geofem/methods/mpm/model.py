@@ -12,14 +12,12 @@ from mpi4py import MPI
 
 from geofem import materials
 from geofem.cost import phase
-from geofem.methods.mpm import answers, parallel, passes
+from geofem.methods.mpm import answers, parallel, passes, setting
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.conditions import Held, Walls, hold, set_velocity, stop
 from geofem.methods.mpm.contact import Contact
 from geofem.methods.mpm.deeds import ALL, FORCES, START, VELOCITY
 from geofem.methods.mpm.passes import Kind, carry_corners
-from geofem.methods.mpm.points import KEPT, Body
-from geofem.methods.mpm.seed import fill_all
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
@@ -73,13 +71,8 @@ class ExplicitMpm:
         laws = [materials.get(region.material.law) for region in scene.regions]
         spent = any(law.energy is None for law in laws)
         self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, spent, cure)
-        seeds = fill_all(scene, self.h / ppc, axial)
-        bounds = self._bounds = g.shape_bounds(scene) or [s.bounds for s in seeds]
-        self.grid = g.make_grid(scene, self.h, self.shape, bounds)
-        self.bodies = []
-        for region, law, filled in zip(scene.regions, laws, seeds, strict=True):
-            par = law.parameters(region.material, self._weakening(0.0))
-            self.bodies.append(Body(filled, region.material, par, self.kind, self.shape.domain, self.h, bool(scene.rigids)))
+        self.grid, self.bodies, seeds, bounds = setting.make_bodies(scene, self.kind, self.h, ppc)
+        self._bounds = bounds
         self._started(seeds)
         self.wave_speed = max(self._speeds)
         low, high = g.bodies(scene, bounds)
@@ -143,18 +136,7 @@ class ExplicitMpm:
     # --- ranks --------------------------------------------------------------------------------------------------------
     def _divide(self) -> None:
         """Cut the grid into slabs, keep the points of this rank's slab and copies around it, and lay out its window of the grid."""
-        for body in self.bodies:
-            body.sort(self._cells(body))
-        rows = [self._rows_of(body) for body in self.bodies]
-        self.slabs = parallel.make_slabs(self.comm, np.concatenate(rows), self.grid.shape[0] - 1, self._halo())
-        if self.comm.size > 1:
-            for body, row in zip(self.bodies, rows):
-                body.remove(self.slabs.owner(row) != self.comm.rank)
-            self.grid.first, last = self.slabs.window(self.grid.shape[0])
-            low, high = self.slabs.own
-            self.grid.own = low, high if self.comm.rank < self.comm.size - 1 else high + 1
-        else:
-            last = self.grid.shape[0]
+        self.slabs, last = setting.divide(self.comm, self.grid, self.bodies, self._halo())
         self._lay_out(last)
         self._exchange()
 
@@ -188,19 +170,6 @@ class ExplicitMpm:
         own = max((self.splitter.extent(body, self.h) for body in self.bodies), default=0.0)
         return self.comm.allreduce(own, op=MPI.MAX)
 
-    def _rows_of(self, body: Body) -> Array:
-        """The cell along x of each own point."""
-        at = body.own("X" if self.kind.small else "x")
-        return ((at[:, 0] - self.grid.low[0]) * (1.0 / self.h)).astype(np.int64)
-
-    def _cells(self, body: Body) -> Array:
-        """The number of the cell of each own point: that of its low node on the whole lattice."""
-        at = body.own("X" if self.kind.small else "x")
-        number = np.zeros(body.n, np.int64)
-        for c, count in enumerate(self.grid.shape):
-            number = number * count + ((at[:, c] - self.grid.low[c]) * (1.0 / self.h)).astype(np.int64)
-        return number
-
     def _exchange(self) -> None:
         if self.comm.size > 1:
             with phase("exchange"):
@@ -209,7 +178,7 @@ class ExplicitMpm:
                     self.grid.first, last = self.slabs.window(self.grid.shape[0])
                     self._lay_out(last)
                 for body in self.bodies:
-                    parallel.exchange(body, self._rows_of(body), self.slabs)
+                    parallel.exchange(body, setting.rows_of(body, self.grid), self.slabs)
         self._cuts = [np.linspace(0, body.N, self.threads + 1).astype(int) for body in self.bodies]
 
     # --- steps --------------------------------------------------------------------------------------------------------
@@ -510,7 +479,7 @@ class ExplicitMpm:
             with phase("sort"):
                 for body in self.bodies:
                     body.N = body.n
-                    body.sort(self._cells(body))
+                    body.sort(setting.cells_of(body, self.grid))
                     body.make_room(body.N)
             self._strayed = 0.0
         if changed or self.comm.size > 1:
@@ -613,47 +582,25 @@ class ExplicitMpm:
         per_row = int(np.prod(self.grid.shape[1:]))
         a, b = (row * per_row - self.grid.first * per_row for row in self.grid.own)
         reached = int(np.count_nonzero(self.grid.nodes[max(a, 0) : b, g.MASS]))
-        occupied = len(np.unique(np.concatenate([self._cells(body) for body in self.bodies])))
+        occupied = len(np.unique(np.concatenate([setting.cells_of(body, self.grid) for body in self.bodies])))
         return self.comm.allreduce(reached), self.comm.allreduce(occupied)
 
     # --- checkpoints --------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
         """All that a checkpoint must hold, on rank 0. Collective."""
-        out = {}
-        for k, body in enumerate(self.bodies):
-            fields = parallel.gathered(self.comm, body)
-            if fields is not None:
-                out |= {f"{name}_{k}": values for name, values in fields.items()}
-        return out | {
+        return setting.gather(self.comm, self.bodies) | {
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
             "last": np.array(
-                [
-                    self._fastest,
-                    self._unbalance,
-                    self._reactions,
-                    self._strayed,
-                    self._sound,
-                    *self.splitter.state(),
-                    *self.watch.state(),
-                ]
+                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound]
+                + [*self.splitter.state(), *self.watch.state()]
             ),  # fmt: skip
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
 
     def restore(self, state: dict[str, Array]) -> None:
         """Take up what ``state`` gave, on any number of ranks. Collective."""
-        for k, body in enumerate(self.bodies):
-            fields = {name: state[f"{name}_{k}"] for name in KEPT}
-            body.n = body.N = 0
-            body.add(fields, own=True)
-            if self.comm.size > 1:
-                body.remove(self.slabs.owner(self._rows_of(body)) != self.comm.rank)
-            order = np.argsort(body.own("key"), kind="stable")
-            for name in KEPT:
-                body.own(name)[:] = body.own(name)[order]
-            body.make_room(body.N)
-            body.settle()
+        setting.scatter(state, self.bodies, self.grid, self.slabs)
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
         self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, split, *watch = state["last"].tolist()

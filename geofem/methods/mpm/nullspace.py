@@ -10,7 +10,7 @@ from geofem.mistake import Breakdown
 from geofem.scene import Array
 
 SINGULAR = 1e-11
-"""A least eigenvalue of the scaled tangent below this is none. Those of sound systems are above 1e-9, those of singular ones 1e-15."""
+"""A least eigenvalue of the scaled tangent below this is none. Bars of 4 x 1 have 1e-3, and 1e-13 to 1e-16 beyond a stretch of ppc."""
 ITERATIONS = 4
 """Inverse iterations: each one brings out the least eigenvalue by its ratio to the next."""
 

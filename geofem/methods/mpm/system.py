@@ -204,7 +204,7 @@ class System:
     def _lift(self, b: Array) -> None:
         """Subtract the tangent times what the conditions still ask for."""
         gap = np.zeros(self.blocks * self.dim)
-        gap[self._held] = self._prescribed - self.unknown.x.array[self._held]
+        gap[self.held] = self._prescribed - self.unknown.x.array[self.held]
         across = self._across
         b -= np.bincount(self._rows[across], self._values[across] * gap[self._columns[across]], minlength=len(b))
 
@@ -216,7 +216,7 @@ class System:
         prescribed[np.repeat(~self.reached[self.node_of_dof], self.dim)] = 0.0
         prescribed[dofs] = values
         held = ~np.isnan(prescribed)
-        self._held = np.flatnonzero(held)
+        self.held = np.flatnonzero(held)
         self._prescribed = prescribed[held]
         entries = slice(0, len(self._rows) - self.owned)
         self._blocked = np.zeros(len(self._rows), bool)
@@ -227,9 +227,10 @@ class System:
     def solve(self, tolerance: float, plastic: bool) -> None:
         """Newton's iteration from the present unknown, under the conditions of the last ``hold``."""
         value = fem.Function(self.space)
-        value.x.array[self._held] = self._prescribed
-        dofs = self._held.astype(np.int32)
+        value.x.array[self.held] = self._prescribed
+        dofs = self.held.astype(np.int32)
         bcs = [fem.dirichletbc(value, [dofs, dofs], self.space.sub(0))]
+        # asks for lower forces at every iteration; these laws offer no elastic tangent to mix in at finite strain
         stabilise = (lambda share: None) if plastic else None
         newton = Newton(self.unknown, bcs, self.solver, self.evaluate, self.linearise, self._lift, tolerance, stabilise)
         try:
