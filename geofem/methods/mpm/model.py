@@ -21,6 +21,7 @@ from geofem.methods.mpm.passes import Kind, carry_corners
 from geofem.methods.mpm.points import KEPT, Body
 from geofem.methods.mpm.seed import fill_all
 from geofem.methods.mpm.shapes import SHAPES
+from geofem.methods.mpm.timestep import NodalStep
 from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Probe, Scene
@@ -53,7 +54,7 @@ class ExplicitMpm:
 
     def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, transfer: str, flip: float, order: int, scheme: str,
                  cfl: float, damping: float, small_mass: float, cure: bool, split: float, load_steps: int, passages: float | None,
-                 tolerance: float, sort_after: float, threads: int):  # fmt: skip
+                 tolerance: float, sort_after: float, threads: int, dt_control: str):  # fmt: skip
         self.scene, self.shape = scene, SHAPES[shape]
         self.comm = MPI.COMM_WORLD
         self.t = self._now = 0.0
@@ -67,6 +68,7 @@ class ExplicitMpm:
         axial, dim = scene.plane == "axisymmetric", scene.gdim
         loaded = bool(scene.rigids) or any(load.kind == "body" for load in scene.loads)
         self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, cure)
+        self._nodal = NodalStep(self.kind) if dt_control == "nodal" else None
         seeds = fill_all(scene, self.h / ppc, axial)
         bounds = g.shape_bounds(scene) or [s.bounds for s in seeds]
         self.grid = g.make_grid(scene, self.h, self.shape, bounds)
@@ -201,7 +203,7 @@ class ExplicitMpm:
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def dt(self) -> float:
-        """The Courant step (s), or the scene's load step."""
+        """The stable step (s), or the scene's load step."""
         return self._courant() if self.scene.dynamic else self.scene.t_end / self.load_steps
 
     def step(self, dt: float) -> None:
@@ -221,7 +223,8 @@ class ExplicitMpm:
             self._relax(dt)
 
     def _courant(self) -> float:
-        return self.cfl * self.h / (self.wave_speed + math.sqrt(self._fastest))
+        wave = self.wave_speed if self._nodal is None else 0.5 * self.h * self._nodal.frequency(self)
+        return self.cfl * self.h / (wave + math.sqrt(self._fastest))
 
     def _push(self, dt: float) -> None:
         """Raise the load by dt at a steady rate: the whole of it takes ``passages`` passages of a wave through the body."""
