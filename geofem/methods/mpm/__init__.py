@@ -61,6 +61,7 @@ class Mpm:
         tolerance: float | None = None,
         sort_after: float = 1.0,
         threads: int = 1,
+        dt_control: str = "courant",
         solver: str = "explicit",
         ghost: float = 0.03,
     ) -> ExplicitMpm | ImplicitMpm:
@@ -85,6 +86,8 @@ class Mpm:
         passages : push the load on steadily instead, all of it in so many passages of a wave through the body.
         sort_after : the points are put in the order of their cells when they have crossed so many borders each, on average.
         threads : of the passes over points and nodes.
+        dt_control : courant (see ``cfl``), or nodal: ``cfl`` is the share of the critical step, which is bounded node by node every
+            few steps and falls where a body barely reaches a node, for an extra half of the work.
         solver : explicit, or implicit for a scene without inertia: Newton's method on the active cells of the grid, in ``load_steps``
             (10) steps, to an out-of-balance force of ``tolerance`` (1e-9, plastic laws 1e-5) times the forces that balance. Of the
             other knobs it heeds n, ppc, kernel, cure and split.
@@ -113,6 +116,8 @@ class Mpm:
             raise unknown("transfer", transfer, TRANSFERS)
         if cure not in ("none", "cell"):
             raise unknown("cure", cure, ("none", "cell"))
+        if dt_control not in ("courant", "nodal"):
+            raise unknown("dt_control", dt_control, ("courant", "nodal"))
         for knob, value in (("n", n), ("ppc", ppc), ("load_steps", load_steps), ("xpic", xpic), ("threads", threads)):
             if value != int(value) or value < 1:
                 raise Mistake(f"{self.name}: {knob} = {value!r} must be a whole number from 1 on")
@@ -146,7 +151,7 @@ class Mpm:
             scene, shape=self.kernels[kernel], n=int(n), ppc=int(ppc), transfer="flip" if transfer == "pic" else transfer,
             flip=0.0 if transfer == "pic" else flip, order=int(xpic), scheme=scheme, cfl=cfl, damping=damping,
             small_mass=small_mass, cure=cure == "cell", split=split, load_steps=int(load_steps), passages=passages,
-            tolerance=tolerance, sort_after=sort_after, threads=int(threads),
+            tolerance=tolerance, sort_after=sort_after, threads=int(threads), dt_control=dt_control,
         )  # fmt: skip
 
 

@@ -20,6 +20,8 @@ from functools import cache
 import numpy as np
 from numba import njit
 
+from geofem import methods
+from geofem.methods.mpm import Mpm
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.deeds import inlined, putting
 from geofem.methods.mpm.grid import OPTIONS
@@ -164,3 +166,18 @@ def null_modes(shape: str, ppc: int, stretch: float, offset: float, cells: int =
     _, K = bar(shape, ppc, stretch, offset, cells)
     own = np.linalg.eigvalsh(K)
     return int(np.sum(own < ROUNDING * own[-1])) - 1
+
+
+def null_share(method: str, *, stretch: float, ppc: int = 2, cells: int = 64, kernel: str | None = None) -> dict[str, float]:
+    """For the map of the null space: {"null_modes": share of the nodes' motions that strain no point}, worst of 8 offsets.
+
+    method : the name of one of the material point methods; kernel : see ``Mpm.build``.
+    """
+    named = methods.get(method)
+    assert isinstance(named, Mpm)
+    shape = named.kernels[kernel or next(iter(named.kernels))]
+    counts = []
+    for offset in (np.arange(8) + 0.37) / 8:
+        nodes = len(bar(shape, ppc, stretch, offset, cells)[0])
+        counts.append(null_modes(shape, ppc, stretch, offset, cells) / nodes)
+    return {"null_modes": max(counts)}

@@ -19,6 +19,7 @@ from geofem.methods.mpm.contact import Contact
 from geofem.methods.mpm.deeds import ALL, FORCES, START, VELOCITY
 from geofem.methods.mpm.passes import Kind, carry_corners
 from geofem.methods.mpm.shapes import SHAPES
+from geofem.methods.mpm.timestep import NodalStep
 from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Probe, Scene
@@ -55,7 +56,7 @@ class ExplicitMpm:
 
     def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, transfer: str, flip: float, order: int, scheme: str,
                  cfl: float, damping: float, small_mass: float, cure: bool, split: float, load_steps: int, passages: float | None,
-                 tolerance: float, sort_after: float, threads: int):  # fmt: skip
+                 tolerance: float, sort_after: float, threads: int, dt_control: str):  # fmt: skip
         self.scene, self.shape = scene, SHAPES[shape]
         self.comm = MPI.COMM_WORLD
         self.t = self._now = 0.0
@@ -73,6 +74,7 @@ class ExplicitMpm:
         self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, spent, cure)
         self.grid, self.bodies, seeds, bounds = setting.make_bodies(scene, self.kind, self.h, ppc)
         self._bounds = bounds
+        self._nodal = NodalStep(self.kind) if dt_control == "nodal" else None
         self._started(seeds)
         self.wave_speed = max(self._speeds)
         low, high = g.bodies(scene, bounds)
@@ -183,7 +185,7 @@ class ExplicitMpm:
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def dt(self) -> float:
-        """The Courant step (s), or the share of the scene's load that is next."""
+        """The stable step (s), or the share of the scene's load that is next."""
         if self.scene.dynamic:
             return self._courant()
         return self.scene.t_end / (self.load_steps if self.passages is None else max(self.load_steps, SAMPLES))
@@ -205,7 +207,8 @@ class ExplicitMpm:
             self._relax(dt)
 
     def _courant(self) -> float:
-        return self.cfl * self.h / (self._sound + math.sqrt(self._fastest))
+        wave = self._sound if self._nodal is None else 0.5 * self.h * self._nodal.frequency(self)
+        return self.cfl * self.h / (wave + math.sqrt(self._fastest))
 
     def _push(self, dt: float) -> None:
         """Raise the load by dt at a steady rate: the whole of it takes ``passages`` passages of a wave through the body."""
