@@ -111,7 +111,7 @@ def make_weights(kind: Kind) -> Callable[..., None]:
     @njit(**OPTIONS)
     def weights(q, count, lattice, out):  # type: ignore[no-untyped-def]
         for p in range(count):
-            over(out, lattice, q.at, q.domain, q.F, p, p)
+            over(out, lattice, q.at, q.domain, q.stretch, p, p)
 
     return weights
 

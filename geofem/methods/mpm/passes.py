@@ -80,7 +80,8 @@ class Kind:
     """What passes are compiled for; ``axial``: axial symmetry, x is the radius, and masses and volumes are per radian.
 
     scheme : see above. transfer : ``flip`` (blended with pic), ``apic``, ``xpic``. small : small strain, F = I + grad u.
-    loaded : points carry forces of their own. spent : the work of the stresses is summed up (where no stored energy tells it). cure : the volumetric part of strain and stress is averaged over cells.
+    loaded : points carry forces of their own. spent : the work of the stresses is summed up (where no stored energy tells it).
+    cure : the volumetric part of strain and stress is averaged over cells.
     """
 
     shape: str
