@@ -508,7 +508,7 @@ def make_advance(kind: Kind, law: Answer | None) -> Callable[..., None]:
         kinetic = fastest = work = power = 0.0
         per_h = lattice[3]
         for e in range(lo, hi):
-            p = q.order[e] if ordered else e
+            p = np.uint64(q.order[e] if ordered else e)  # numba then need not ask whether it counts from the end
             if plain:
                 got = get(nodes, lattice, q.at, q.domain, q.stretch, p, zeros)
             else:
@@ -531,7 +531,7 @@ def make_advance(kind: Kind, law: Answer | None) -> Callable[..., None]:
                     p,
                     to_put(q, p, lattice, q.mass[p], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, q.mass[p] * h),
                 )
-            if p < own:
+            if np.int64(p) < own:
                 kinetic += square
                 work += done
                 fastest = max(fastest, speed)
@@ -563,7 +563,7 @@ def make_strain(kind: Kind, law: Answer) -> Callable[..., None]:
         ordered = len(q.order) > 0
         power, per_h = 0.0, lattice[3]
         for e in range(lo, hi):
-            p = q.order[e] if ordered else e
+            p = np.uint64(q.order[e] if ordered else e)  # numba then need not ask whether it counts from the end
             if cure:
                 c = cell(q.at, p, lattice)
                 stretch = (cells[c, 2] / (cells[c, 0] * increment(q.L[p]))) ** power_of_ratio
@@ -581,7 +581,7 @@ def make_strain(kind: Kind, law: Answer) -> Callable[..., None]:
                 dissipated = deform(q, p, gradient(got, dim, dt * per_h), hoop, par, dt, scratch)
             if not dissipated == dissipated:
                 marks[g.FAULT], marks[g.POINT] = g.TANGLED, p
-            elif p < own:
+            elif np.int64(p) < own:
                 power += dissipated
         sums[g.STRAIN_WORK] += 0.5 * power
 
