@@ -112,7 +112,11 @@ def bspline3(s: float, l: float, edge: int, last: int) -> Any:
 def averaged(u: float, l: float) -> tuple[float, float]:
     """Weight and slope of the hat at distance u averaged over u - l ... u + l, for any l."""
     a, b = min(max(u - l, -1.0), 1.0), min(max(u + l, -1.0), 1.0)
-    return (0.5 / l) * (b - a - 0.5 * (b * abs(b) - a * abs(a))), (0.5 / l) * (abs(a) - abs(b))
+    # the two sides apart and without differences of like numbers: a weight that rounds to nothing beside a slope that does not
+    # would leave a node with a force and no mass
+    c, d, e, f = max(a, 0.0), max(b, 0.0), max(-b, 0.0), max(-a, 0.0)
+    right, left = (d - c) * (1.0 - 0.5 * (c + d)), (f - e) * (1.0 - 0.5 * (e + f))
+    return (0.5 / l) * (right + left), (0.5 / l) * (abs(a) - abs(b))
 
 
 # --- loops over the sites -------------------------------------------------------------------------------------------------
