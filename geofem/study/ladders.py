@@ -138,6 +138,24 @@ LADDERS: dict[str, list[Ladder]] = {
         fem("vortex", "P2", P2, (2, 4, 8)),
         *kernels("vortex", (8, 16, 32)),
     ],
+    "column_collapse": [
+        points("column_collapse", "mpm-gimp", (5, 10, 20), {"flip": 0.998}, a=1.0),
+        points("column_collapse", "mpm-cpdi", (5, 10, 20), {"flip": 0.998, "split": 1.0}, a=1.0),
+        points("column_collapse", "mpm-bspline", (5, 10, 20), {"flip": 0.998}, a=1.0),
+        points("column_collapse", "mpm-gimp", (5, 10, 20), {"transfer": "apic"}, a=1.0),
+    ],
+    "dam_break": [
+        points("dam_break", "mpm-linear", (5, 10, 20)),
+        points("dam_break", "mpm-gimp", (5, 10, 20)),
+        points("dam_break", "mpm-cpdi", (5, 10, 20), {"split": 1.0}),
+        points("dam_break", "mpm-bspline", (5, 10, 20)),
+    ],
+    "slope_runout": [
+        points("slope_runout", "mpm-gimp", (6, 8, 12)),
+        points("slope_runout", "mpm-gimp", (6, 8, 12), {"cure": "cell"}),
+        points("slope_runout", "mpm-cpdi", (6, 8, 12), {"cure": "cell", "split": 1.0}),
+        points("slope_runout", "mpm-bspline", (6, 8, 12), {"cure": "cell"}),
+    ],
 }
 """The ladders of each scene."""
 
