@@ -107,7 +107,7 @@ def cells_along(x: float) -> dict[str, int]:
 
 
 LINEAR = Scale("linear")
-BAR = {"n": 16, "scheme": "usl"}
+BAR = {"n": 8, "scheme": "usl"}
 
 
 MAPS = {
