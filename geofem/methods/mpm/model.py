@@ -384,7 +384,7 @@ class ExplicitMpm:
         )
         g.part_again(nodes, dim, self._partner, self._lent, joined)
         hold(nodes, dim, held, self.least_mass, dt, gravity, self.damping, self._sums[0])
-        stop(nodes, dim, walls, self.least_mass, dt, self._sums[0])
+        stop(nodes, dim, walls, self.least_mass, dt, gravity, self._sums[0])
 
         fused = self.scheme == "usl" and not kind.cure
         W = 1 + 2 * dim
