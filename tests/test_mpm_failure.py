@@ -135,7 +135,11 @@ def test_nodal_bound_is_on_the_safe_side(method: Any) -> None:
 def frequency_of(shape: str, at: np.ndarray) -> float:
     """Largest angular frequency of points at ``at`` (cells) that are held on the left, times h / c."""
     spacing = at[1] - at[0]
-    m, K = frozen.bar(shape, 2, 2 * spacing, 0.0, len(at) // 2) if len(at) % 2 == 0 else frozen.bar(shape, 1, spacing, 0.0, len(at))
+    m, K = (
+        frozen.bar(shape, 2, 2 * spacing, 0.0, len(at) // 2)
+        if len(at) % 2 == 0
+        else frozen.bar(shape, 1, spacing, 0.0, len(at))
+    )
     return float(np.sqrt(frozen.frequencies2(m, K)[-1]))
 
 

@@ -94,7 +94,9 @@ def scene(*, end: str | float = "before_impact", tension: bool = True) -> Scene:
     source, columns = series("dam_break")
     table = columns["T"], columns["Z"]
     late = (Measure("front_speed", "-", front_speed, reference=reference("g06_dam_break", "front_speed")),) if whole else ()
-    water = Material("newtonian", DENSITY, {"mu": VISCOSITY, "K": DENSITY * SOUND**2, **({} if tension else {"cavitation": 0.0})})
+    water = Material(
+        "newtonian", DENSITY, {"mu": VISCOSITY, "K": DENSITY * SOUND**2, **({} if tension else {"cavitation": 0.0})}
+    )
     return Scene(
         name="dam_break",
         regions=(Region("water", Box((0.0, 0.0), (A, 2 * A)), water),),

@@ -101,7 +101,10 @@ def hold(nodes: Any, dim: int, held: Any, least_mass: float, dt: float, gravity:
 
 @njit(**OPTIONS)
 def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, gravity: Any, sums: Any) -> None:
-    """Take from the nodes of walls the velocity into the wall, and by Coulomb's law some of that along it, after ``accelerate``."""
+    """Take from the nodes of walls the velocity into the wall, and by Coulomb's law some of that along it, after ``accelerate``.
+
+    All work is that of forces on the velocity after the step, as that of the stresses is: a node that rests on a wall takes none.
+    """
     places, axes, signs, friction, reaction, mine = walls
     for k in range(len(places)):
         n, axis = places[k], axes[k]
@@ -126,9 +129,7 @@ def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, gravity
                     sums[g.IMPULSE + c] += m * change
                     sums[g.REACTIONS] += abs(reaction[k, c])
                     sums[g.UNBALANCE] -= abs(reaction[k, c])
-                    # force times the mean velocity of the whole step, which began at old - dt a: a body at rest on the wall
-                    # takes no work from it; gravity's work was counted with the velocity before the wall
-                    sums[g.WORK] += 0.5 * m * change * (old - dt * a + new) + dt * m * gravity[c] * change
+                    sums[g.WORK] += m * change * (new + dt * gravity[c])
 
 
 @njit(**OPTIONS)
