@@ -130,7 +130,7 @@ def test_friction_of_a_plate_is_capped(shape: str, scheme: str) -> None:
 
 @pytest.mark.parametrize("shape, scheme", SHAPES)
 def test_a_plate_lets_go(shape: str, scheme: str) -> None:
-    """Pushed in and drawn back within .04 s: a force while it is in, none to pull; the work it did stays in the block, but for losses of the grid."""
+    """Pushed in and drawn back within .04 s: a force while it is in, none to pull; its work stays in the block, but for the grid's losses."""
     stroke = plate(lambda t: (0.0, -0.01 * np.sin(np.pi * min(t / 0.04, 1.5))))
     scene = block(None, 0.06, supports=(BASE,), rigids=(stroke,), probes=FORCE)
     model = build(scene, shape, n=6, scheme=scheme)

@@ -173,7 +173,6 @@ class GimpMpm(Mpm):
 
     name = "mpm-gimp"
     kernels = {"uniform": "gimp", "contiguous": "cpgimp"}
-    small_mass = 0.1
 
 
 class CpdiMpm(Mpm):
@@ -198,4 +197,3 @@ class BsplineMpm(Mpm):
 
     name = "mpm-bspline"
     kernels = {"quadratic": "bspline2", "cubic": "bspline3"}
-    small_mass = 0.1
