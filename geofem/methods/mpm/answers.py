@@ -103,12 +103,16 @@ class Places:
 
     def __init__(self, scene: Scene, seeds: list[Seeds], comm: MPI.Intracomm):
         self.comm, self.small = comm, scene.strain == "small"
+        self.seeds = seeds
         self.at: dict[tuple[float, ...], tuple[int, Array, Array]] = {}
-        for probe in scene.probes:
-            if probe.at is not None and probe.at not in self.at:
-                nearest = [float(np.min(np.linalg.norm(s.points - np.array(probe.at), axis=1))) for s in seeds]
-                k = int(np.argmin(nearest))
-                self.at[probe.at] = (k, *weights_around(seeds[k].points, probe.at))
+
+    def around(self, at: tuple[float, ...]) -> tuple[int, Array, Array]:
+        """The body of a reference position, the numbers of the points around it, and their weights."""
+        if at not in self.at:
+            nearest = [float(np.min(np.linalg.norm(s.points - np.array(at), axis=1))) for s in self.seeds]
+            k = int(np.argmin(nearest))
+            self.at[at] = (k, *weights_around(self.seeds[k].points, at))
+        return self.at[at]
 
     def probe(self, probe: Probe, bodies: list[Body], t: float) -> float:
         """The value of a probe, but for reactions. Collective."""
@@ -129,7 +133,7 @@ class Places:
             x = self._all([body.own("x")[:, c] for body in bodies])
             return quantile(x, self._all([body.own("mass") for body in bodies]), probe.share)
         assert probe.at is not None
-        k, ids, weights = self.at[probe.at]
+        k, ids, weights = self.around(probe.at)
         if probe.quantity == "stress" and c >= bodies[k].arrays["tau"].shape[1]:
             return 0.0
         return float(weights @ self._values(bodies[k], ids, probe.quantity, c))
