@@ -13,6 +13,8 @@ from geofem.methods.mpm import CpdiMpm, GimpMpm, LinearMpm, frozen
 from geofem.methods.mpm.timestep import SAFETY
 from geofem.result import Result
 from geofem.scenes import offset_bar
+from geofem.study.maps import MAPS
+from geofem.worker import analyse
 
 PARTS = {"hat": lambda ppc: ppc, "gimp": lambda ppc: ppc + 1, "bspline2": lambda ppc: 2 * ppc, "bspline3": lambda ppc: 3 * ppc}
 """Stretch from which two neighbours share no node at the worst offset: twice the reach of a weight less one cell, by their distance."""
@@ -153,3 +155,10 @@ def test_beyond_a_point_a_cell_every_kernel_has_motions_that_no_point_sees(shape
             assert frozen.null_modes(shape, ppc, 0.9 * ppc, offset, cells) == 0
             unseen = frozen.null_modes(shape, ppc, 1.2 * ppc, offset, cells)
             assert abs(unseen - 0.2 * ppc * cells) <= 3, "stretch N / ppc nodes less N points, give or take the ends"
+
+
+def test_null_space_is_an_analysis_of_a_map() -> None:
+    """Of the nodes of a row at stretch 3 with two points a cell a third goes unseen."""
+    result = analyse(MAPS["nullspace"].analysis, "frozen row", "mpm-cpdi", {"stretch": 3.0, "cells": 32})
+    assert result.status == "ok" and result.error["null_modes"] == pytest.approx(1 / 3, abs=0.03)
+    assert frozen.null_share("mpm-linear", stretch=1.5)["null_modes"] == 0
