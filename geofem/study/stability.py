@@ -176,12 +176,14 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
         whole = this.scale.way(this.safe, this.harsh)
         for i, line in enumerate(lines):
             borders = edges(line, this)
+            said = None
             for point, a, b in zip(line.points, borders, borders[1:]):
                 level = None if point.error is None else float(norm(max(point.error, min(errors))))
                 look = {"facecolor": "#ececec", "hatch": "xx"} if level is None else {"facecolor": colours(level)}
                 axes.add_patch(Rectangle((min(a, b), i - 0.4), abs(b - a), 0.8, linewidth=0, **look))
-                if abs(this.scale.way(a, b) / whole) < 0.065:
-                    continue  # too narrow for words
+                if abs(this.scale.way(a, b) / whole) < 0.065 or (level is None and point.cause == said):
+                    continue  # too narrow for words, or said next door
+                said = point.cause
                 words = f"× {shortened(point.cause)}" if point.error is None else percent(point.error)
                 colour = "white" if level is not None and level < 0.55 else "black"
                 paper = {"facecolor": "#ececec", "edgecolor": "none", "pad": 2} if level is None else None

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -120,12 +121,17 @@ def bar(shape: str, ppc: int, stretch: float, offset: float, cells: int = 8) -> 
     """Lumped masses (n,) and stiffness (n, n) of the nodes that a row of ``cells * ppc`` points reaches."""
     at = MARGIN + offset + stretch * (np.arange(cells * ppc) + 0.5) / ppc
     row = make_row(shape, at, stretch, ppc)
-    count = int(at[-1] + stretch) + MARGIN
-    out = np.zeros((len(at), count * ROWS, 2))
-    make_weights(make_kind(shape))(row, len(at), lattice(count), out)
-    S, gradient = np.moveaxis(out.reshape(len(at), count, ROWS, 2).sum(axis=2), 2, 0)
-    mass, stiffness = row.mass @ S, stretch / ppc * gradient.T @ gradient
-    there = mass > ROUNDING / ppc
+    return assemble(make_kind(shape), row, lattice(int(at[-1] + stretch) + MARGIN), stretch * row.volume)
+
+
+def assemble(kind: Kind, row: Cloud, lattice: tuple[Any, ...], volume: Array) -> tuple[Array, Array]:
+    """Lumped masses (n,) and stiffness (n, n) along x of points whose present volumes are ``volume`` (N,), all nodes across as one."""
+    N, columns, across = len(row.mass), lattice[4], lattice[5]
+    out = np.zeros((N, columns * across, 2))
+    make_weights(kind)(row, N, lattice, out)
+    S, gradient = np.moveaxis(out.reshape(N, columns, across, 2).sum(axis=2), 2, 0)
+    mass, stiffness = row.mass @ S, gradient.T @ (volume[:, None] * gradient)
+    there = mass > ROUNDING * row.mass.mean()
     return mass[there], stiffness[np.ix_(there, there)]
 
 
@@ -163,12 +169,16 @@ def worst_step(shape: str, ppc: int = 2, stretch: float = 1.0, small_mass: float
 
 def null_modes(shape: str, ppc: int, stretch: float, offset: float, cells: int = 16) -> int:
     """Motions of the nodes, beside the rigid one, that strain no point: zero eigenvalues of the stiffness but one."""
-    _, K = bar(shape, ppc, stretch, offset, cells)
-    own = np.linalg.eigvalsh(K)
+    return unseen(bar(shape, ppc, stretch, offset, cells)[1])
+
+
+def unseen(stiffness: Array) -> int:
+    """Zero eigenvalues but one."""
+    own = np.linalg.eigvalsh(stiffness)
     return int(np.sum(own < ROUNDING * own[-1])) - 1
 
 
-def null_share(method: str, *, stretch: float, ppc: int = 2, cells: int = 64, kernel: str | None = None) -> dict[str, float]:
+def null_share(method: str, *, stretch: float, ppc: int = 2, cells: int = 32, kernel: str | None = None) -> dict[str, float]:
     """For the map of the null space: {"null_modes": share of the nodes' motions that strain no point}, worst of 8 offsets.
 
     method : the name of one of the material point methods; kernel : see ``Mpm.build``.
@@ -176,8 +186,5 @@ def null_share(method: str, *, stretch: float, ppc: int = 2, cells: int = 64, ke
     named = methods.get(method)
     assert isinstance(named, Mpm)
     shape = named.kernels[kernel or next(iter(named.kernels))]
-    counts = []
-    for offset in (np.arange(8) + 0.37) / 8:
-        nodes = len(bar(shape, ppc, stretch, offset, cells)[0])
-        counts.append(null_modes(shape, ppc, stretch, offset, cells) / nodes)
-    return {"null_modes": max(counts)}
+    bars = [bar(shape, ppc, stretch, offset, cells)[1] for offset in (np.arange(8) + 0.37) / 8]
+    return {"null_modes": max(unseen(K) / len(K) for K in bars)}
