@@ -187,6 +187,7 @@ def test_slide_runs_only_without_locking() -> None:
     assert free.qoi["rest"] < 0.05, "it has come to rest"
 
 
+@pytest.mark.slow
 def test_slope_stands_at_a_factor_of_safety_above_one() -> None:
     result = run("slope_runout", GIMP, n=6, cure="cell", f=1.1)
     assert result.qoi["run_out"] < 0.01 and result.qoi["drop"] < 0.01
@@ -277,6 +278,7 @@ def test_a_flow_is_taken_up_by_another_number_of_ranks(
         assert found.history[name] == pytest.approx(values, rel=1e-12, abs=1e-15), name
 
 
+@pytest.mark.slow
 def test_every_kernel_ends_a_flow_or_says_why() -> None:
     for name, knobs in [("mpm-linear", {}), ("mpm-gimp", {"kernel": "contiguous"}), ("mpm-cpdi2", {}), ("mpm-bspline", {})]:
         assert name in methods.known()

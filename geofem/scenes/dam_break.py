@@ -1,12 +1,12 @@
 """Dam break: a column of water collapses in a tank, and its front is timed against Martin and Moyce.
 
-Set-up. A column of water, a = 0.05715 m (2.25 inches) wide and 2 a high, in the corner of a tank with smooth walls; at
-t = 0 the gate is gone and gravity acts. Density 1000 kg/m3, viscosity 1 mPa s, weakly compressible: the bulk modulus
-makes sound ten times faster than 2 sqrt(2 g a), the fastest that the water can fall. No surface tension. Water bears
-the tension in which it is thinned, as a continuum does that is nearly incompressible; without `tension` it parts at zero
-pressure instead, sprays, and the gaps count as volume. With `end` before_impact the run goes to T = t sqrt(2 g / a) = 6 in a tank
-15 a long; with a time it goes on that long in a tank 4 a long, where the water strikes the far wall at T = 3 or so and
-runs up it.
+Set-up. A column of water, a = 0.05715 m (2.25 inches) wide and 2 a high, in the corner of a tank with smooth walls; at t =
+0 the gate is gone and gravity acts. Density 1000 kg/m3, viscosity 1 mPa s, weakly compressible: the bulk modulus makes
+sound ten times faster than 2 sqrt(2 g a), the fastest that the water can fall. No surface tension. Water bears the tension
+in which it is thinned, as a continuum does that is nearly incompressible; without `tension` it parts at zero pressure
+instead, sprays, and the gaps count as volume. With `end` before_impact the run goes to T = t sqrt(2 g / a) = 6 in a tank 15
+a long; with a time it goes on that long in a tank 4 a long, where the water strikes the far wall at T = 3 or so and runs up
+it.
 
 Measured. Error `front`: the front Z = x / a by T between 0.8 and 2.6 against the experiment, after one shift of time;
 root mean square, relative. `shift`: that shift, in T. `front_speed`, before impact only: dZ/dT for T from 4 to 6. The front
@@ -94,7 +94,8 @@ def scene(*, end: str | float = "before_impact", tension: bool = True) -> Scene:
     source, columns = series("dam_break")
     table = columns["T"], columns["Z"]
     late = (Measure("front_speed", "-", front_speed, reference=reference("g06_dam_break", "front_speed")),) if whole else ()
-    water = Material("newtonian", DENSITY, {"mu": VISCOSITY, "K": DENSITY * SOUND**2, **({} if tension else {"cavitation": 0.0})})
+    parting = {} if tension else {"cavitation": 0.0}
+    water = Material("newtonian", DENSITY, {"mu": VISCOSITY, "K": DENSITY * SOUND**2} | parting)
     return Scene(
         name="dam_break",
         regions=(Region("water", Box((0.0, 0.0), (A, 2 * A)), water),),
