@@ -37,7 +37,9 @@ README = (ROOT / "README.md").read_text()
 
 
 def test_readme_lists_every_scene_with_its_summary_and_kind_of_reference() -> None:
-    rows = re.findall(r"^\| `(\w+)` \| (.+) \| (\w+) \|$", README.partition("## Scenes")[2].partition("\n## ")[0], re.MULTILINE)
+    rows = re.findall(
+        r"^\| `(\w+)` \| (.+) \| ([\w-]+) \|$", README.partition("## Scenes")[2].partition("\n## ")[0], re.MULTILINE
+    )
     assert {name: text for name, text, _ in rows} == scenes.known()
     for name, _, kind in rows:
         references = [measure.reference for measure in scenes.get(name)().measures]

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from dolfinx import fem, la
 from mpi4py import MPI
 
-from geofem.core.solvers import LinearSolver
+from geofem.core.solvers import Operator
 from geofem.cost import phase
 from geofem.mistake import Breakdown
 
@@ -26,6 +27,14 @@ CIRCLE, ELASTIC_SHARE = 4, 0.02
 EPSILON = 1e-14
 ROUNDING = 1e-6
 """Below this fraction of the forces, an out-of-balance force that no longer halves is taken for rounding."""
+
+
+class Solver(Protocol):
+    """What Newton's method asks of a linear solver, like ``solvers.LinearSolver``."""
+
+    matrix: Operator
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray: ...
 
 
 @dataclass
@@ -60,7 +69,7 @@ class Newton:
         self,
         unknown: fem.Function,
         bcs: list[fem.DirichletBC],
-        solver: LinearSolver,
+        solver: Solver,
         evaluate: Callable[[], Residual],
         linearise: Callable[[], None],
         lift: Callable[[np.ndarray], None],

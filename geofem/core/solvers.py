@@ -6,7 +6,7 @@ on one rank PETSc looks at the CSR arrays without copying them; on several ranks
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import dolfinx.fem.petsc as fem_petsc
 import numpy as np
@@ -85,6 +85,12 @@ def rigid_body_modes(space: fem.FunctionSpace) -> PETSc.NullSpace:
     return PETSc.NullSpace().create(vectors=vectors)
 
 
+class Operator(Protocol):
+    """Anything that a solver can work with: ``mat`` is PETSc's matrix."""
+
+    mat: Any
+
+
 class LinearSolver:
     """Solve with one matrix again and again.
 
@@ -92,7 +98,7 @@ class LinearSolver:
     ones in 3D. Every choice can be overridden by PETSc options without prefix (``-ksp_type gmres -pc_type ilu``).
     """
 
-    def __init__(self, matrix: Matrix, space: fem.FunctionSpace, definite: bool):
+    def __init__(self, matrix: Operator, space: fem.FunctionSpace, definite: bool):
         self.matrix, self.iterations = matrix, 0
         dofs = space.dofmap.index_map.size_global * space.dofmap.index_map_bs
         self._definite = definite

@@ -52,7 +52,8 @@ class Kernels:
     point : (F (g,), F_old (g,), state (s,), par, dt, tau (m,), new_state (s,)) -> 1 if plastic, 0 if not, -1 if det F <= 0.
         Writes the Kirchhoff stress. To be called from compiled loops, which may close over it and still be cached by numba.
     parameters : (material, weakening=1.0) -> par. The strength (c, k, mu_s, mu_2 and tan phi, tan psi) is divided by ``weakening``.
-    wave_speed : (par, density) -> speed of compression waves (m/s).
+    wave_speed : (par, density) -> speed of compression waves (m/s) at rest.
+    stretched_speed : (F (N, g), par, density) -> a bound on it (m/s) over deformed points, as they are now, for laws that stiffen.
     energy : (F (N, g), par) -> (N,) stored energy per reference volume (J/m3), for hyperelastic laws.
     elastic_energy : (state (N, s), par, m, finite) -> (N,) stored energy (J/m3) of an elastic state, for laws with a state.
     push : (P (N, g), A (N, g, g), Fn (N, g)) -> None: P and A from the reference configuration to configuration n, in place.
@@ -67,6 +68,7 @@ class Kernels:
     push: Callable[..., None]
     energy: Callable[[Array, Array], Array] | None = None
     elastic_energy: Callable[[Array, Array, int, bool], Array] | None = None
+    stretched_speed: Callable[[Array, Array, float], float] | None = None
 
     def initial_state(self, n: int, m: int) -> Array:
         """(n, s): no stress, no strain."""

@@ -139,6 +139,30 @@ def neo_hooke_energy(F: Array, par: Array) -> Array:
     return 0.5 * par[1] * ((F**2).sum(1) - 3.0 - 2.0 * logJ) + 0.5 * par[0] * logJ**2
 
 
+@kernel
+def neo_hooke_stiffest(F: Array, par: Array) -> float:
+    """Largest modulus (Pa) of a compression wave over points, lambda (1 - ln J) + G (1 + n . b n), b = F F^T; n . b n by a bound,
+    the largest sum of a row of |b|."""
+    lam, G = par[0], par[1]
+    stiffest = 0.0
+    for p in range(F.shape[0]):
+        f = F[p]
+        if len(f) == 5:
+            xx, yy, zz = f[0] * f[0] + f[1] * f[1], f[2] * f[2] + f[3] * f[3], f[4] * f[4]
+            xy, yz, xz = abs(f[0] * f[2] + f[1] * f[3]), 0.0, 0.0
+        else:
+            xx, yy = f[0] * f[0] + f[1] * f[1] + f[2] * f[2], f[3] * f[3] + f[4] * f[4] + f[5] * f[5]
+            zz, xy = f[6] * f[6] + f[7] * f[7] + f[8] * f[8], abs(f[0] * f[3] + f[1] * f[4] + f[2] * f[5])
+            yz, xz = abs(f[3] * f[6] + f[4] * f[7] + f[5] * f[8]), abs(f[0] * f[6] + f[1] * f[7] + f[2] * f[8])
+        stretch = max(xx + xy + xz, yy + xy + yz, zz + xz + yz)
+        stiffest = max(stiffest, lam * (1.0 - math.log(det(f))) + G * (1.0 + stretch))
+    return stiffest
+
+
+def neo_hooke_speed(F: Array, par: Array, density: float) -> float:
+    return math.sqrt(neo_hooke_stiffest(F, par) / density)
+
+
 KERNELS = {
     "linear_elastic": Kernels(
         parameters=parameters,
@@ -160,5 +184,6 @@ KERNELS = {
         wave_speed=wave_speed,
         push=push,
         energy=neo_hooke_energy,
+        stretched_speed=neo_hooke_speed,
     ),
 }

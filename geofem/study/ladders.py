@@ -54,6 +54,7 @@ P3 = {"order": 3, "cell": "triangle"}
 Q1 = {"order": 1, "cell": "quadrilateral", "quadrature": "full"}
 Q2 = {"order": 2, "cell": "quadrilateral", "quadrature": "full"}
 Q2_REDUCED = {"order": 2, "cell": "quadrilateral", "quadrature": "reduced"}
+CONTIGUOUS = {"kernel": "contiguous"}
 MIXED = {"order": 2, "cell": "triangle", "formulation": "mixed"}
 
 
@@ -61,9 +62,25 @@ def fem(scene: str, label: str, knobs: Mapping[str, Any], values: Sequence[int],
     return Ladder(scene, "fem", f"FEM {label}", values, scene_knobs=scene_knobs, method_knobs=knobs)
 
 
-def points(scene: str, method: str, values: Sequence[int], **scene_knobs: Any) -> Ladder:
+def points(scene: str, method: str, values: Sequence[int], knobs: Mapping[str, Any] = no_knobs(), **scene_knobs: Any) -> Ladder:
+    """Material points; of ``knobs`` those that are words, as that of the kernel, stand in the label."""
     family, _, kind = method.partition("-")
-    return Ladder(scene, method, f"{family.upper()} {kind}".strip(), values, scene_knobs=scene_knobs)
+    words = [value for value in knobs.values() if isinstance(value, str)]
+    return Ladder(
+        scene, method, " ".join([family.upper(), kind, *words]).strip(), values, scene_knobs=scene_knobs, method_knobs=knobs
+    )
+
+
+def kernels(scene: str, values: Sequence[int], **scene_knobs: Any) -> list[Ladder]:
+    """Every kind of material point with the same cells and as many points a cell."""
+    return [
+        points(scene, "mpm-linear", values, **scene_knobs),
+        points(scene, "mpm-gimp", values, **scene_knobs),
+        points(scene, "mpm-gimp", values, CONTIGUOUS, **scene_knobs),
+        points(scene, "mpm-cpdi", values, **scene_knobs),
+        points(scene, "mpm-cpdi2", values, **scene_knobs),
+        points(scene, "mpm-bspline", values, **scene_knobs),
+    ]
 
 
 LADDERS: dict[str, list[Ladder]] = {
@@ -78,8 +95,14 @@ LADDERS: dict[str, list[Ladder]] = {
     ],
     "beam_drop": [
         fem("beam_drop", "P2", P2, (1, 2, 4)),
-        points("beam_drop", "mpm-linear", (4, 8, 16)),
+        *kernels("beam_drop", (4, 8, 16)),
     ],
+    "axis_aligned": [
+        fem("axis_aligned", "P1", P1, (16, 32, 64)),
+        fem("axis_aligned", "P2", P2, (8, 16, 32)),
+        *kernels("axis_aligned", (16, 32, 64)),
+    ],
+    "collision": kernels("collision", (10, 20, 40)),
     "column": [
         fem("column", "P1", P1, (8, 16, 32), law="hencky"),
         fem("column", "P2", P2, (8, 16, 32), law="hencky"),
@@ -108,25 +131,46 @@ LADDERS: dict[str, list[Ladder]] = {
     ],
     "axial": [
         fem("axial", "P2", P2, (16, 32, 64)),
-        points("axial", "mpm-linear", (16, 32, 64)),
+        *kernels("axial", (16, 32, 64)),
     ],
     "vortex": [
         fem("vortex", "P1", P1, (4, 8, 16)),
         fem("vortex", "P2", P2, (2, 4, 8)),
-        points("vortex", "mpm-linear", (4, 8, 16)),
+        *kernels("vortex", (8, 16, 32)),
+    ],
+    "column_collapse": [
+        points("column_collapse", "mpm-gimp", (5, 10, 20), {"flip": 0.998}, a=1.0),
+        points("column_collapse", "mpm-cpdi", (5, 10, 20), {"flip": 0.998, "split": 1.0}, a=1.0),
+        points("column_collapse", "mpm-bspline", (5, 10, 20), {"flip": 0.998}, a=1.0),
+        points("column_collapse", "mpm-gimp", (5, 10, 20), {"transfer": "apic"}, a=1.0),
+    ],
+    "dam_break": [
+        points("dam_break", "mpm-linear", (5, 10, 20)),
+        points("dam_break", "mpm-gimp", (5, 10, 20)),
+        points("dam_break", "mpm-cpdi", (5, 10, 20), {"split": 1.0}),
+        points("dam_break", "mpm-bspline", (5, 10, 20)),
+    ],
+    "slope_runout": [
+        points("slope_runout", "mpm-gimp", (6, 8, 12)),
+        points("slope_runout", "mpm-gimp", (6, 8, 12), {"cure": "cell"}),
+        points("slope_runout", "mpm-cpdi", (6, 8, 12), {"cure": "cell", "split": 1.0}),
+        points("slope_runout", "mpm-bspline", (6, 8, 12), {"cure": "cell"}),
     ],
 }
 """The ladders of each scene."""
 
 SAMPLE = [
     *(one for one in LADDERS["cook"] if (one.scene_knobs["variant"], one.label) != ("D", "FEM P2")),
-    *LADDERS["beam_drop"],
+    fem("beam_drop", "P2", P2, (1, 2, 4)),
+    points("beam_drop", "mpm-linear", (4, 8, 16)),
+    points("beam_drop", "mpm-cpdi", (4, 8)),
     fem("vortex", "P2", P2, (2, 4)),
     points("vortex", "mpm-linear", (4, 8, 16)),
+    points("vortex", "mpm-cpdi", (8, 16)),
 ]
 """What ``geofem compare`` runs when nothing is asked for: about a minute and a half with nothing compiled. Cook's membrane shows orders
-of convergence (A) and locking (D), the falling beam shows finite elements converge where classical material points do not, and
-the vortex where these die."""
+of convergence (A) and locking (D), the falling beam shows finite elements and points with domains converge where classical material
+points do not, and the vortex where these die."""
 
 
 def default_ladders(scene: str, methods: Sequence[str] | None = None) -> list[Ladder]:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from geofem.study.ladders import MIXED, P1, P2, P3, Q1, Q2, Q2_REDUCED, no_knobs
 
 
@@ -19,13 +21,38 @@ class Variant:
 
 
 @dataclass(frozen=True)
+class Scale:
+    """The scale of an axis: ``log`` or ``linear``."""
+
+    name: str = "log"
+
+    def middle(self, a: float, b: float) -> float:
+        """The middle between a and b on this scale."""
+        return float(np.sqrt(a * b)) if self.name == "log" else 0.5 * (a + b)
+
+    def way(self, a: float, b: float) -> float:
+        """How far it is from a to b on this scale."""
+        return float(np.log(b / a)) if self.name == "log" else b - a
+
+    def spread(self, a: float, b: float, count: int) -> list[float]:
+        """``count`` values from a to b."""
+        return (np.geomspace if self.name == "log" else np.linspace)(a, b, count).tolist()
+
+
+@dataclass(frozen=True)
 class Map:
     """What is varied and what counts as failure.
 
-    knob : the scene's or method's knob along the axis; ``value`` makes it of the axis' x, ``axis`` names x with its unit.
-    safe, harsh : the ends of the axis (logarithmic), where methods are expected to work and to fail.
-    threshold : relative error of ``measure`` from which a run counts as failed.
+    knob : the scene's or method's knob along the axis; ``value`` makes it of the axis' x, or a mapping of several knobs; ``axis``
+        names x with its unit.
+    safe, harsh : the ends of the axis, where methods are expected to work and to fail. scale : of the axis.
+    threshold : relative error of ``measure`` from which a run counts as failed. quantity : what the error is called in the picture.
     reference : a variant to measure against where the scene has no reference for all x; None for the scene's own.
+    cases : knobs of the runs at each x, the worst of which counts.
+    along : the name in a result's ``at`` of the axis itself, where each run goes along it from the safe end to x: the place
+        where the first broken run ended is the boundary.
+    analysis : ``package.module:function`` that is called with the method's name and the knobs, in place of a run, and answers
+        with the measures' errors; ``scene`` is then only a name.
     coarse : runs of the coarse row. bisections : runs that narrow the boundary after it.
     """
 
@@ -42,12 +69,45 @@ class Map:
     value: Callable[[float], Any] = float
     scene_knobs: Mapping[str, Any] = field(default_factory=no_knobs)
     reference: Variant | None = None
+    scale: Scale = Scale()
+    cases: Sequence[Mapping[str, Any]] = ({},)
+    along: str = ""
+    analysis: str = ""
+    quantity: str = "relative error"
     coarse: int = 5
     bisections: int = 4
+
+    def knobs(self, x: float) -> dict[str, Any]:
+        """The knobs that x stands for."""
+        value = self.value(x)
+        return dict(value) if isinstance(value, Mapping) else {self.knob: value}
 
 
 def fem(label: str, knobs: Mapping[str, Any], n: int = 16) -> Variant:
     return Variant(label, "fem", {**knobs, "n": n})
+
+
+def kernels(knobs: Mapping[str, Any], few: bool = False) -> tuple[Variant, ...]:
+    """The kernels of the material point method with the same knobs. few : leave out those that stretch with the points but one."""
+    named = {
+        "hat": ("mpm-linear", {}),
+        "uniform GIMP": ("mpm-gimp", {}),
+        "quadratic B-spline": ("mpm-bspline", {}),
+        "contiguous GIMP": ("mpm-gimp", {"kernel": "contiguous"}),
+        "CPDI": ("mpm-cpdi", {}),
+        "CPDI2": ("mpm-cpdi2", {}),
+    }
+    left_out = ("contiguous GIMP", "CPDI2") if few else ()
+    return tuple(Variant(label, m, {**own, **knobs}) for label, (m, own) in named.items() if label not in left_out)
+
+
+def cells_along(x: float) -> dict[str, int]:
+    """The knobs of ``axis_aligned`` as a strip that is one of its n cells high."""
+    return {"n": round(x), "strip": round(x)}
+
+
+LINEAR = Scale("linear")
+BAR = {"n": 8, "scheme": "usl"}
 
 
 MAPS = {
@@ -75,6 +135,87 @@ MAPS = {
             scene_knobs={"variant": "C"},
             # With the pressure as an unknown nothing locks: one order more on four times the cells serves as the truth.
             reference=fem("P3-P2 mixed, n = 32", {**P3, "formulation": "mixed"}, n=32),
+        ),
+        Map(
+            name="fracture",
+            title="Numerical fracture: a soft bar pulled out, 2 x 2 points a cell",
+            scene="stretch",
+            measure="stress",
+            variants=kernels({"n": 4, "transfer": "apic"}),
+            knob="stretch",
+            axis="stretch",
+            scale=LINEAR,
+            safe=1.25,
+            harsh=5.0,
+            threshold=0.1,
+            along="stretch",
+            coarse=6,
+        ),
+        Map(
+            name="cell_crossing",
+            title="Cell crossing: a bar that swells and shrinks, amplitude 5 % of its length, 2 x 2 points a cell",
+            scene="axis_aligned",
+            measure="displacement",
+            variants=kernels({}),
+            knob="n",
+            axis="cells along the bar",
+            value=cells_along,
+            safe=8,
+            harsh=128,
+            threshold=0.05,
+            scene_knobs={"dim": 1},
+            bisections=0,
+        ),
+        Map(
+            name="time_step",
+            title="Time step: a bar whose end lies anywhere between two nodes, 2 x 2 points a cell",
+            scene="offset_bar",
+            measure="displacement",
+            quantity="worst relative error over 6 offsets",
+            variants=(
+                *kernels({**BAR, "small_mass": 0.0}, few=True),
+                Variant("hat, light nodes joined", "mpm-linear", {**BAR, "small_mass": 0.1}),
+                Variant("hat, nodal step", "mpm-linear", {**BAR, "small_mass": 0.0, "dt_control": "nodal"}),
+                Variant("hat, modified (musl)", "mpm-linear", {**BAR, "small_mass": 0.0, "scheme": "musl"}),
+            ),
+            knob="cfl",
+            axis="Courant number",
+            safe=0.1,
+            harsh=2.0,
+            threshold=0.5,
+            cases=[{"offset": offset} for offset in (0.0, 0.26, 0.3, 0.4, 0.48, 0.75)],
+            bisections=3,
+        ),
+        Map(
+            name="vortex",
+            title="Generalised vortex, 16 cells across the ring, 2 x 2 points a cell",
+            scene="vortex",
+            measure="displacement",
+            variants=kernels({"n": 16}),
+            knob="A",
+            axis="amplitude A (rad)",
+            safe=0.1,
+            harsh=2.0,
+            threshold=0.1,
+            coarse=4,
+            bisections=2,
+        ),
+        Map(
+            name="nullspace",
+            title="Null space: a row of 64 cells stretched evenly, 2 points a cell, worst of 8 offsets",
+            scene="frozen row",
+            measure="null_modes",
+            quantity="nodal motions that no point sees",
+            variants=kernels({}),
+            knob="stretch",
+            axis="stretch",
+            scale=LINEAR,
+            safe=1.0,
+            harsh=4.0,
+            threshold=0.02,
+            analysis="geofem.methods.mpm.frozen:null_share",
+            coarse=7,
+            bisections=4,
         ),
     )
 }

@@ -2,6 +2,7 @@
 
 A map is data (``MAPS`` in ``maps.py``). Of each variant a coarse row is run first; the boundary, where the error crosses the
 map's threshold or a run breaks down, is then found by bisection between the two runs that enclose it, on the scale of the axis.
+Where a run goes along the axis itself, as a bar does that is pulled out, the place where it broke down is the boundary.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
-import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -26,11 +26,15 @@ from geofem.study.rows import Row
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a map: its error, or None and the cause of its end."""
+    """One run of a map: its error, or None and the cause of its end; of several runs the worst.
+
+    at : where on the axis the run ended, if the map is run along it.
+    """
 
     x: float
     error: float | None
     cause: str | None
+    at: float | None = None
 
     def failed(self, threshold: float) -> bool:
         return self.error is None or self.error > threshold
@@ -50,38 +54,44 @@ SMALLEST = 1e-6
 
 
 # --- running ----------------------------------------------------------------------------------------------------------
-Runs = dict[tuple[str, float], Row]
-"""What was run: (variant, x) -> row."""
+Runs = dict[tuple[str, float], list[Row]]
+"""What was run: (variant, x) -> a row for each of ``Map.cases``."""
 
 
 def run_points(this: Map, wanted: Sequence[tuple[Variant, float]], out: Path, done: Runs) -> None:
     """Run what is not done yet, one worker for each method. A run that kills its worker is a row, and the others go on."""
     todo = {(variant.label, x): variant for variant, x in wanted if (variant.label, x) not in done}
     for method in dict.fromkeys(variant.method for variant in todo.values()):
-        left = [(variant, x) for (_, x), variant in todo.items() if variant.method == method]
+        left = [(variant, x, case) for (_, x), variant in todo.items() if variant.method == method for case in this.cases]
         while left:
-            runs = [{**this.scene_knobs, **variant.knobs, this.knob: this.value(x)} for variant, x in left]
-            folder = Path("runs") / f"{method}-{len(done)}"
-            batch = sweep.batch(this.scene, method, runs, out / folder, 1, sweep.TIMEOUT)
+            runs = [{**this.scene_knobs, **variant.knobs, **this.knobs(x), **case} for variant, x, case in left]
+            folder = Path("runs") / f"{method}-{sum(map(len, done.values()))}"
+            batch = sweep.batch(this.scene, method, runs, out / folder, 1, sweep.TIMEOUT, this.analysis)
             count = 0
-            for row, (variant, x) in zip(batch, left):
+            for row, (variant, x, _) in zip(batch, left):
                 row |= {"label": variant.label, "vary": this.knob, "scene_knobs": dict(this.scene_knobs), "repeats": 1}
                 row |= {"machine": sweep.machine(), "run": str(folder / str(count))}
                 rows.append(out, row)
-                done[variant.label, x] = row
+                done.setdefault((variant.label, x), []).append(row)
                 count += 1
             left = left[count:]
 
 
 def judge(this: Map, variant: Variant, x: float, done: Runs) -> Point:
-    """The error of one run, against the scene's reference or the map's own."""
-    row = done[variant.label, x]
+    """The worst error of the runs at x, against the scene's reference or the map's own."""
+    against = done[this.reference.label, x] if this.reference else [None] * len(this.cases)
+    points = [judge_row(this, row, x, other) for row, other in zip(done[variant.label, x], against)]
+    died = [point for point in points if point.error is None]
+    return died[0] if died else max(points, key=lambda point: point.error or 0.0)
+
+
+def judge_row(this: Map, row: Row, x: float, against: Row | None) -> Point:
+    """The error of one run."""
     if row["status"] != "ok":
-        return Point(x, None, rows.why(row))
-    if this.reference is None:
+        return Point(x, None, rows.why(row), row["at"].get(this.along))
+    if against is None:
         error = rows.error(row, this.measure)
         return Point(x, error, None if error is not None else "no error was measured")
-    against = done[this.reference.label, x]
     if against["status"] != "ok":
         return Point(x, None, f"the reference {against['status']}: {rows.why(against)}")
     exact = against["qoi"][this.measure]
@@ -100,10 +110,12 @@ def bracket(points: Sequence[Point], threshold: float) -> tuple[float, float] | 
 def survey(this: Map, out: Path) -> list[Line]:
     """Run a map: the coarse rows, then the bisections, all variants together in each round.
 
+    Runs along the axis need no bisection: the first that broke down says where.
+
     Raises ``Mistake`` if nothing of it could be run.
     """
     done: Runs = {}
-    grid = np.geomspace(this.safe, this.harsh, this.coarse).tolist()
+    grid = this.scale.spread(this.safe, this.harsh, this.coarse)
     at: dict[str, list[float]] = {variant.label: list(grid) for variant in this.variants}
     down = this.harsh < this.safe
 
@@ -115,27 +127,37 @@ def survey(this: Map, out: Path) -> list[Line]:
             wanted = [(variant, x) for variant in this.variants for x in at[variant.label]]
             also = [(this.reference, x) for _, x in wanted] if this.reference else []
             run_points(this, wanted + also, out, done)
-            if all(row["status"] == "refused" for row in done.values()):
-                raise Mistake(f"map {this.name}: nothing could be run: {rows.why(next(iter(done.values())))}")
+            found_rows = [row for several in done.values() for row in several]
+            if all(row["status"] == "refused" for row in found_rows):
+                raise Mistake(f"map {this.name}: nothing could be run: {rows.why(found_rows[0])}")
             for variant in this.variants:
                 found = bracket(line(variant), this.threshold)
-                if found and step < this.bisections:
-                    at[variant.label].append(float(np.sqrt(found[0] * found[1])))
+                if found and step < this.bisections and not this.along:
+                    at[variant.label].append(this.scale.middle(*found))
             progress.update()
-    lines = []
-    for variant in this.variants:
-        points = line(variant)
-        found = bracket(points, this.threshold)
-        boundary = float(np.sqrt(found[0] * found[1])) if found else this.safe if points[0].failed(this.threshold) else None
-        lines.append(Line(variant.label, tuple(points), boundary))
-    return lines
+    return [Line(variant.label, tuple(points := line(variant)), boundary(this, points)) for variant in this.variants]
+
+
+def boundary(this: Map, points: Sequence[Point]) -> float | None:
+    """Where a row fails: between two runs, or where the first failed run along the axis ended; None if it never does."""
+    first = next((point for point in points if point.failed(this.threshold)), None)
+    if first is None:
+        return None
+    if first.at is not None:
+        return first.at
+    found = bracket(points, this.threshold)
+    return this.scale.middle(*found) if found else this.safe
 
 
 # --- drawing ----------------------------------------------------------------------------------------------------------
-def edges(x: Sequence[float]) -> np.ndarray:
-    """The borders (n + 1,) of the fields around n points on a logarithmic axis; those at the ends lie on the points."""
-    at = np.asarray(x)
-    return np.concatenate([at[:1], np.sqrt(at[:-1] * at[1:]), at[-1:]])
+def edges(line: Line, this: Map) -> list[float]:
+    """The borders (n + 1,) of the fields around n points; those at the ends lie on the points, one may be the boundary."""
+    at = [point.x for point in line.points]
+    borders = [at[0], *(this.scale.middle(a, b) for a, b in zip(at, at[1:])), at[-1]]
+    failed = [point.failed(this.threshold) for point in line.points]
+    if line.boundary is not None and True in failed and (first := failed.index(True)) > 0:
+        borders[first] = line.boundary
+    return borders
 
 
 def percent(error: float, _: int = 0) -> str:
@@ -144,25 +166,26 @@ def percent(error: float, _: int = 0) -> str:
 
 def draw(this: Map, lines: Sequence[Line]) -> Figure:
     """The map: colour is the error on a logarithmic scale, a bar the boundary, hatched what died, with the cause."""
-    errors = [max(point.error, SMALLEST) for line in lines for point in line.points if point.error is not None]
+    errors = [max(point.error, SMALLEST) for line in lines for point in line.points if point.error]
     errors += [this.threshold / 3, this.threshold * 3]  # the colours span the threshold, whatever was found
     norm, colours = LogNorm(min(errors), max(errors)), matplotlib.colormaps["cividis"]
     with matplotlib.rc_context(chart.STYLE | {"hatch.color": "#b5b5b5"}):
         figure = Figure(figsize=(14, 2.6 + 0.85 * len(lines)), layout="constrained")
         axes = figure.subplots()
-        axes.set_xscale("log")
+        axes.set_xscale(this.scale.name)
+        whole = this.scale.way(this.safe, this.harsh)
         for i, line in enumerate(lines):
-            borders = edges([point.x for point in line.points])
+            borders = edges(line, this)
             for point, a, b in zip(line.points, borders, borders[1:]):
-                level = None if point.error is None else float(norm(max(point.error, SMALLEST)))
+                level = None if point.error is None else float(norm(max(point.error, min(errors))))
                 look = {"facecolor": "#ececec", "hatch": "xx"} if level is None else {"facecolor": colours(level)}
                 axes.add_patch(Rectangle((min(a, b), i - 0.4), abs(b - a), 0.8, linewidth=0, **look))
-                if abs(np.log(b / a) / np.log(this.harsh / this.safe)) < 0.065:
+                if abs(this.scale.way(a, b) / whole) < 0.065:
                     continue  # too narrow for words
                 words = f"× {shortened(point.cause)}" if point.error is None else percent(point.error)
                 colour = "white" if level is not None and level < 0.55 else "black"
                 paper = {"facecolor": "#ececec", "edgecolor": "none", "pad": 2} if level is None else None
-                axes.text(np.sqrt(a * b), i, words, ha="center", va="center", color=colour, fontsize=14, bbox=paper)
+                axes.text(this.scale.middle(a, b), i, words, ha="center", va="center", color=colour, fontsize=14, bbox=paper)
             if line.boundary is not None:
                 axes.plot([line.boundary] * 2, [i - 0.46, i + 0.46], color="black", linewidth=8, solid_capstyle="butt")
                 axes.plot([line.boundary] * 2, [i - 0.43, i + 0.43], color="white", linewidth=3, solid_capstyle="butt")
@@ -171,10 +194,11 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
         axes.set_yticks(range(len(lines)), [line.label for line in lines])
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel(this.axis)
-        against = f"error against {this.reference.label}; " if this.reference else "error; "
-        axes.set_title(f"{this.title}\n{against}the bar marks where it crosses {percent(this.threshold)}", fontweight="bold")
+        against = f"{this.quantity} against {this.reference.label}" if this.reference else this.quantity
+        crosses = f"the bar marks where it crosses {percent(this.threshold)} or a run breaks down"
+        axes.set_title(f"{this.title}\n{against}; {crosses}", fontweight="bold")
         scale = matplotlib.cm.ScalarMappable(norm, colours)
-        figure.colorbar(scale, ax=axes, label="relative error", aspect=14, pad=0.01, format=percent)
+        figure.colorbar(scale, ax=axes, label=this.quantity, aspect=14, pad=0.01, format=percent)
     return figure
 
 
@@ -186,7 +210,7 @@ def shortened(cause: str | None) -> str:
 def table(this: Map, lines: Sequence[Line]) -> str:
     """The boundaries as text."""
     width = max(len(line.label) for line in lines)
-    text = [f"{this.title}: where the error crosses {percent(this.threshold)} ({this.axis})"]
+    text = [f"{this.title}: where the {this.quantity} crosses {percent(this.threshold)} ({this.axis})"]
     for line in lines:
         causes = ", ".join(sorted({point.cause for point in line.points if point.cause}))
         where = "not on this axis" if line.boundary is None else f"{line.boundary:.3g}"

@@ -59,8 +59,12 @@ def death(process: subprocess.Popen[str], log: Path) -> tuple[str, str]:
     return "failed", f"worker ended with status {code}: {said[-1]}"
 
 
-def batch(scene: str, method: str, runs: Sequence[dict[str, Any]], folder: Path, repeats: int, timeout: float) -> Iterator[Row]:
+def batch(
+    scene: str, method: str, runs: Sequence[dict[str, Any]], folder: Path, repeats: int, timeout: float, analysis: str = ""
+) -> Iterator[Row]:
     """Run one scene by one method with each of ``runs``, its knobs, in one worker; one row for each as it finishes.
+
+    analysis : ``package.module:function`` to call with each in place of a run, see ``geofem.worker``.
 
     The worker saves run i into ``folder/i``, and what it says on stderr stands in ``folder/worker.log``; the folder is emptied
     first. If it dies, or a run takes longer than ``timeout`` (s), the last row is that run's, with status ``failed``, and the
@@ -69,7 +73,14 @@ def batch(scene: str, method: str, runs: Sequence[dict[str, Any]], folder: Path,
     shutil.rmtree(folder, ignore_errors=True)  # a run that dies must not show the body of an earlier one
     folder.mkdir(parents=True)
     log = folder / "worker.log"
-    task = {"scene": scene, "method": method, "runs": list(runs), "repeats": repeats, "folder": str(folder)}
+    task = {
+        "scene": scene,
+        "method": method,
+        "runs": list(runs),
+        "repeats": repeats,
+        "folder": str(folder),
+        "analysis": analysis,
+    }
     with log.open("w") as stderr:
         # A session of its own: Ctrl-C reaches this process alone, and what a worker starts dies with it.
         process = subprocess.Popen(

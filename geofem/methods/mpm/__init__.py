@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from geofem import materials
+from geofem.methods.mpm.implicit import ImplicitMpm
 from geofem.methods.mpm.model import ExplicitMpm
 from geofem.methods.mpm.passes import SCHEMES
 from geofem.mistake import Mistake, unknown
 from geofem.scene import Scene
 
 TRANSFERS = ("flip", "pic", "apic", "xpic")
+SOLVERS = ("explicit", "implicit")
 
 
 class Mpm:
@@ -54,12 +56,15 @@ class Mpm:
         small_mass: float | None = None,
         cure: str = "none",
         split: float = 0.0,
-        load_steps: int = 1,
+        load_steps: int | None = None,
         passages: float | None = None,
-        tolerance: float = 1e-4,
+        tolerance: float | None = None,
         sort_after: float = 1.0,
         threads: int = 1,
-    ) -> ExplicitMpm:
+        dt_control: str = "courant",
+        solver: str = "explicit",
+        ghost: float = 0.03,
+    ) -> ExplicitMpm | ImplicitMpm:
         """The model of a scene.
 
         n : cells across the scene's length. ppc : points per cell in each direction.
@@ -70,20 +75,37 @@ class Mpm:
         flip : share of flip in its blend with pic: 1 keeps the energy and the noise; by default 1, and 0.99 in a scene without
             inertia. xpic : its order m; 1 is pic, and flip the limit.
         scheme : when the stress is updated: usf first, usl last, musl last with velocities mapped anew.
-        cfl : step times (wave speed + largest speed) over the size of a cell.
+        cfl : step times (wave speed + largest speed) over the size of a cell; the wave speed is that of the deformed material.
         damping : local damping, the share of the out-of-balance force that acts against the motion (Cundall 1987); by default
             0, and 0.7 in a scene without inertia.
         small_mass : nodes with less than this share of a point's mass move as one with their heaviest neighbour.
         cure : none, or cell: volumetric strain and mean stress are averaged over the points of a cell, against locking.
         split : a point is split in two when its domain is longer than so many cells; 0 never.
-        load_steps : loads at which a scene without inertia is brought to rest, that is to a kinetic energy below ``tolerance``
-            times the work of the loads. The fewer the better where points cross cells: each crossing leaves a strain behind.
+        load_steps : (explicit: 1) loads at which a scene without inertia is brought to rest, that is to a kinetic energy below
+            ``tolerance`` (1e-4) times the work of the loads. The fewer the better where points cross cells: each crossing leaves a strain.
         passages : push the load on steadily instead, all of it in so many passages of a wave through the body.
         sort_after : the points are put in the order of their cells when they have crossed so many borders each, on average.
         threads : of the passes over points and nodes.
+        dt_control : courant (see ``cfl``), or nodal: ``cfl`` is the share of the critical step, which is bounded node by node every
+            few steps and falls where a body barely reaches a node, for an extra half of the work.
+        solver : explicit, or implicit for a scene without inertia: Newton's method on the active cells of the grid, in ``load_steps``
+            (10) steps, to an out-of-balance force of ``tolerance`` (1e-9, plastic laws 1e-5) times the forces that balance. Of the
+            other knobs it heeds n, ppc, kernel, cure and split.
+        ghost : stiffness of the penalty on jumps of the gradient around nodes that carry next to nothing, as a share of the
+            material's (implicit only; see ``ghost``); 0 for none.
 
         Raises ``Mistake`` for a knob or a material out of range.
         """
+        if solver not in SOLVERS:
+            raise unknown("solver", solver, SOLVERS)
+        implicit, plastic = solver == "implicit", any(materials.LAWS[r.material.law].history for r in scene.regions)
+        if implicit and scene.dynamic:
+            raise Mistake(
+                f"{self.name}: solver=implicit is for bodies at rest, and scene {scene.name} is in motion; use explicit"
+            )
+        load_steps = load_steps or (10 if implicit else 1)
+        if tolerance is None:
+            tolerance = (1e-5 if plastic else 1e-9) if implicit else 1e-4
         kernel = kernel or next(iter(self.kernels))
         if kernel not in self.kernels:
             raise unknown(f"kernel of {self.name}", kernel, self.kernels)
@@ -94,6 +116,8 @@ class Mpm:
             raise unknown("transfer", transfer, TRANSFERS)
         if cure not in ("none", "cell"):
             raise unknown("cure", cure, ("none", "cell"))
+        if dt_control not in ("courant", "nodal"):
+            raise unknown("dt_control", dt_control, ("courant", "nodal"))
         for knob, value in (("n", n), ("ppc", ppc), ("load_steps", load_steps), ("xpic", xpic), ("threads", threads)):
             if value != int(value) or value < 1:
                 raise Mistake(f"{self.name}: {knob} = {value!r} must be a whole number from 1 on")
@@ -116,11 +140,18 @@ class Mpm:
             raise Mistake(f"{self.name}: passages = {passages:g} must be positive")
         for region in scene.regions:
             materials.check(region.material, f"region {region.name}")
+        if implicit:
+            if not ghost >= 0:
+                raise Mistake(f"{self.name}: ghost = {ghost:g} must not be negative")
+            return ImplicitMpm(
+                scene, shape=self.kernels[kernel], n=int(n), ppc=int(ppc), cure=cure == "cell", split=split,
+                load_steps=int(load_steps), tolerance=tolerance, penalty=ghost, plastic=plastic,
+            )  # fmt: skip
         return ExplicitMpm(
             scene, shape=self.kernels[kernel], n=int(n), ppc=int(ppc), transfer="flip" if transfer == "pic" else transfer,
             flip=0.0 if transfer == "pic" else flip, order=int(xpic), scheme=scheme, cfl=cfl, damping=damping,
             small_mass=small_mass, cure=cure == "cell", split=split, load_steps=int(load_steps), passages=passages,
-            tolerance=tolerance, sort_after=sort_after, threads=int(threads),
+            tolerance=tolerance, sort_after=sort_after, threads=int(threads), dt_control=dt_control,
         )  # fmt: skip
 
 

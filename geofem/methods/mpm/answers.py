@@ -18,10 +18,14 @@ from geofem.scene import Array, Probe, Scene
 
 
 class Balance:
-    """Energies (J) and momentum (N s) of all ranks' points, carried along step by step."""
+    """Energies (J) and momentum (N s) of all ranks' points, carried along step by step.
 
-    def __init__(self, bodies: list[Body], mass: float):
-        self.mass = mass
+    Velocities belong to the middle of a step, places and stresses to its end (with update stress first to its beginning). spent : the
+    work of the stresses was summed up; else all laws tell their stored energy.
+    """
+
+    def __init__(self, bodies: list[Body], mass: float, spent: bool, stress_first: bool):
+        self.mass, self.spent, self.stress_first = mass, spent, stress_first
         self.kept = slice(1, 3) if bodies[0].kind.axial else slice(0, 3)  # a radial momentum is changed by the hoop stress
         v = np.concatenate([body.own("v") for body in bodies])
         m = np.concatenate([body.own("mass") for body in bodies])
@@ -29,12 +33,15 @@ class Balance:
         self.momentum = np.zeros(3)
         self.momentum[: v.shape[1]] = m @ v
         self.internal = self.external = 0.0
+        self.last = np.array([self.kinetic, 0.0, 0.0])
+        """Kinetic energy before the last step, work of the stresses and of the loads in it."""
         self.largest_kinetic, self.largest_work = self.kinetic, 0.0
         self.impulse = np.zeros(3)
         self.volume = sum(float(body.own("volume").sum()) for body in bodies)
 
     def add(self, sums: Array) -> None:
         """Carry on by the sums of one step."""
+        self.last[:] = self.kinetic, sums[g.STRAIN_WORK], sums[g.WORK]
         self.kinetic = float(sums[g.KINETIC])
         self.internal += float(sums[g.STRAIN_WORK])
         self.external += float(sums[g.WORK])
@@ -42,9 +49,28 @@ class Balance:
         self.largest_kinetic = max(self.largest_kinetic, self.kinetic)
         self.largest_work = max(self.largest_work, abs(self.external))
 
+    def stored(self, bodies: list[Body], comm: MPI.Intracomm) -> float:
+        """The energy stored in elastic bodies at the end of the step (J). Collective."""
+        own = 0.0
+        for body in bodies:
+            assert body.law.energy is not None
+            own += float(body.own("volume") @ body.law.energy(body.own("F"), body.par)) if body.n else 0.0
+        return float(comm.allreduce(own))
+
+    def energy(self, stored: float | None = None, strain_work: float | None = None) -> dict[str, float]:
+        """The three at one instant, so that their sum drifts by dt squared and not by dt: the middle of the last step or, with
+        update stress first, its beginning. stored : the energy at its end, and strain_work : the work of the stresses in it, where
+        these were not summed up (J)."""
+        before, done, work = self.last.tolist()
+        internal = self.internal if stored is None else stored
+        if self.stress_first:
+            return {"kinetic": 0.5 * (before + self.kinetic), "internal": internal, "external": self.external - work}
+        done = done if strain_work is None else strain_work
+        return {"kinetic": self.kinetic, "internal": internal - 0.5 * done, "external": self.external - 0.5 * work}
+
     @property
     def exploded(self) -> bool:
-        """More than twice the energy is there that was ever put in; nan is no explosion."""
+        """More than twice the energy is there that was ever put in (stored energy apart, which is never negative); nan is not."""
         return self.kinetic + self.internal - self.external - self.start > self.start + self.largest_work
 
     def checks(self, bodies: list[Body], comm: MPI.Intracomm) -> dict[str, float | None]:
@@ -65,11 +91,11 @@ class Balance:
 
     def state(self) -> Array:
         head = [self.kinetic, self.internal, self.external, self.largest_kinetic, self.largest_work]
-        return np.array([*head, *self.impulse])
+        return np.array([*head, *self.impulse, *self.last])
 
     def restore(self, state: Array) -> None:
         self.kinetic, self.internal, self.external, self.largest_kinetic, self.largest_work = state[:5].tolist()
-        self.impulse[:] = state[5:]
+        self.impulse[:], self.last[:] = state[5:8], state[8:]
 
 
 class Places:
@@ -156,9 +182,9 @@ def domains(body: Body, kind: Kind, h: float) -> dict[str, Array]:
         return {"corners": place}
     full = F.reshape(-1, 3, 3) if d == 3 else F[:, :4].reshape(-1, 2, 2)
     if shape.domain == "edges":
-        return {"edges": h * np.einsum("nij,naj->nai", full, place.reshape(-1, d, d)).reshape(len(place), -1)}
+        return {"edges": h * np.einsum("nij,naj->nai", full, place.reshape(-1, d, d)).reshape(len(place), d * d)}
     half = h * place * (np.linalg.norm(full, axis=1) if shape.spread else 1.0)
-    return {"edges": (half[:, :, None] * np.eye(d)).reshape(len(place), -1)}
+    return {"edges": (half[:, :, None] * np.eye(d)).reshape(len(place), d * d)}
 
 
 def snapshot(bodies: list[Body], kind: Kind, h: float, contacts: list[Contact], comm: MPI.Intracomm) -> dict[str, Any]:

@@ -52,8 +52,8 @@ class Contact:
 
 
 @cache
-def make_touch(kind: str, small: bool) -> Any:
-    """The pass over the points, for domains given by half lengths, edges or corners."""
+def make_reach(kind: str) -> Any:
+    """(q, p, nx, ny, h) -> reach (m) of domains given by half lengths, edges or corners."""
 
     @inlined
     def reach(q, p, nx, ny, h):  # type: ignore[no-untyped-def]
@@ -71,6 +71,14 @@ def make_touch(kind: str, small: bool) -> Any:
         a, b = nx * (x - d[0]) + ny * (y - d[1]), nx * (x - d[2]) + ny * (y - d[3])
         c, e = nx * (x - d[4]) + ny * (y - d[5]), nx * (x - d[6]) + ny * (y - d[7])
         return max(a, b, c, e)
+
+    return reach
+
+
+@cache
+def make_touch(kind: str, small: bool) -> Any:
+    """The pass over the points, for domains given by half lengths, edges or corners."""
+    reach = make_reach(kind)
 
     @njit(**OPTIONS)
     def touch(q, grip, own, faces, box, velocity, friction, stiffness, h, dt):  # type: ignore[no-untyped-def]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-from numba.extending import register_jitable
-
-from geofem.materials.kinematics import FLAGS
+from numba import njit
+from numba.core.serialize import dumps
 
 Loop = Callable[..., Any]
 MASS, VELOCITY = 0, 1
@@ -19,9 +19,13 @@ on; d momenta, then velocities behind the strains where these are others, from `
 def inlined(function: Loop) -> Loop:
     """A helper whose code is put in place of the call before types are inferred: twice as fast here as leaving it to LLVM.
 
-    Numba 0.68 warns of names that are assigned in one branch only: such helpers return from each branch instead.
+    Numba keys its cache on disk by the functions that a kernel closes over, and gives every compiled function a name of its own in
+    each process; here the name follows from the function and what it closes over, so that the key stays. The flags of arithmetic
+    are those of the kernel that takes the code in (as a set, they would come in another order in each process).
     """
-    return register_jitable(inline="always", **FLAGS)(function)
+    made = njit(inline="always", error_model="numpy")(function)
+    made._set_uuid(hashlib.sha256(dumps(function)).hexdigest())
+    return made
 
 
 class Deed(NamedTuple):

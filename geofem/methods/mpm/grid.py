@@ -25,11 +25,11 @@ COLUMNS = {2: 8, 3: 12}
 """Columns per node: a cache line in the plane."""
 
 # Sums over one step: kinetic energy and largest squared speed of the points after it; work (without that of the stresses), work
-# of the stresses; absolute nodal forces out of balance, and absolute reactions (N); points that changed cell; impulse (N s).
-KINETIC, SPEED2, WORK, STRAIN_WORK, UNBALANCE, REACTIONS, CROSSED, IMPULSE, SUMS = 0, 1, 2, 3, 4, 5, 6, 7, 10
+# of the stresses; absolute nodal forces out of balance, and absolute reactions (N); impulse (N s).
+KINETIC, SPEED2, WORK, STRAIN_WORK, UNBALANCE, REACTIONS, IMPULSE, SUMS = 0, 1, 2, 3, 4, 5, 6, 9
 # Marks of one step: a fault and the point that has it; the box of nodes that the points reach, first and last of each axis.
 FAULT, POINT, BOX, MARKS = 0, 1, 2, 8
-TANGLED, ESCAPED = 1, 2
+TANGLED, ESCAPED, FOLDED = 1, 2, 3
 FAR = 1 << 40
 ALIKE = 1.0 + 1e-9
 """Masses nearer to each other than this are equal, so that rounding, and with it the number of threads, decides on nothing."""
@@ -254,3 +254,18 @@ def clear_columns(nodes: Any, first: int, end: int, box: Any, rows: Any) -> None
             for n in range(start + box[4], start + box[5]):
                 for c in range(first, end):
                     nodes[n, c] = 0.0
+
+
+@njit(**OPTIONS)
+def gained(nodes: Any, dim: int, box: Any, rows: Any, own: Any, dt: float) -> float:
+    """What the kinetic energy of the nodes of the rank's own rows gained in the last step, of dt (J)."""
+    middle, last, base = rows
+    total = 0.0
+    for i in range(max(box[0], own[0]), min(box[1], own[1])):
+        for j in range(box[2], box[3]):
+            start = (i * middle + j) * last - base
+            for n in range(start + box[4], start + box[5]):
+                for c in range(dim):
+                    a = nodes[n, VELOCITY + dim + c]
+                    total += nodes[n, MASS] * a * dt * (nodes[n, VELOCITY + c] - 0.5 * dt * a)
+    return total

@@ -12,15 +12,14 @@ from mpi4py import MPI
 
 from geofem import materials
 from geofem.cost import phase
-from geofem.methods.mpm import answers, parallel, passes
+from geofem.methods.mpm import answers, parallel, passes, setting
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.conditions import Held, Walls, hold, set_velocity, stop
 from geofem.methods.mpm.contact import Contact
 from geofem.methods.mpm.deeds import ALL, FORCES, START, VELOCITY
 from geofem.methods.mpm.passes import Kind, carry_corners
-from geofem.methods.mpm.points import KEPT, Body
-from geofem.methods.mpm.seed import fill_all
 from geofem.methods.mpm.shapes import SHAPES
+from geofem.methods.mpm.timestep import NodalStep
 from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Probe, Scene
@@ -31,6 +30,10 @@ WORTH_SORTING = 20_000
 """Fewer points than this fit into a processor's cache in any order."""
 RAMP = 5.0
 """Passages of a wave through the body in which a load is raised; the slowest axial mode takes four for one swing."""
+SAMPLES = 200
+"""Load steps of a load that is pushed on steadily: they cost nothing, and the run is sampled between them."""
+SOUND = 8
+"""Steps between two looks at the speed of waves in what a material that stiffens has become."""
 TURN = 10_000_000
 """Point steps, about a second, after which a scene without inertia gives the run a turn."""
 UNREST = 0.5
@@ -38,6 +41,8 @@ UNREST = 0.5
 crossed cells, local damping can hold it by the noise. What is left of that noise at a true rest is below 0.4."""
 PATIENCE = 400
 """A load step that has not come to rest after so many passages of a wave through the body has failed."""
+TOO_FAST = 10.0
+"""A speed of so many times that of a wave and the largest at the start together is no motion, but a step that is too long."""
 PARTNERS = 4096
 """Nodes of small mass that can be joined to a neighbour in one step."""
 
@@ -51,7 +56,7 @@ class ExplicitMpm:
 
     def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, transfer: str, flip: float, order: int, scheme: str,
                  cfl: float, damping: float, small_mass: float, cure: bool, split: float, load_steps: int, passages: float | None,
-                 tolerance: float, sort_after: float, threads: int):  # fmt: skip
+                 tolerance: float, sort_after: float, threads: int, dt_control: str):  # fmt: skip
         self.scene, self.shape = scene, SHAPES[shape]
         self.comm = MPI.COMM_WORLD
         self.t = self._now = 0.0
@@ -64,34 +69,31 @@ class ExplicitMpm:
 
         axial, dim = scene.plane == "axisymmetric", scene.gdim
         loaded = bool(scene.rigids) or any(load.kind == "body" for load in scene.loads)
-        self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, cure)
-        seeds = fill_all(scene, self.h / ppc, axial)
-        bounds = self._bounds = g.shape_bounds(scene) or [s.bounds for s in seeds]
-        self.grid = g.make_grid(scene, self.h, self.shape, bounds)
         laws = [materials.get(region.material.law) for region in scene.regions]
-        self.bodies = []
-        for region, law, filled in zip(scene.regions, laws, seeds, strict=True):
-            par = law.parameters(region.material, self._weakening(0.0))
-            self.bodies.append(
-                Body(filled, law, par, region.material.density, self.kind, self.shape.domain, self.h, bool(scene.rigids))
-            )
+        spent = any(law.energy is None for law in laws)
+        self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, spent, cure)
+        self.grid, self.bodies, seeds, bounds = setting.make_bodies(scene, self.kind, self.h, ppc)
+        self._bounds = bounds
+        self._nodal = NodalStep(self.kind) if dt_control == "nodal" else None
         self._started(seeds)
         self.wave_speed = max(self._speeds)
         low, high = g.bodies(scene, bounds)
+        self._sound = self._speed_of_waves()
         self.passage = float(np.linalg.norm(high - low)) / self.wave_speed
         mass = sum(float(body.own("mass").sum()) for body in self.bodies)
         self.point_mass = mass / sum(body.n for body in self.bodies)
         self.least_mass, self.small_mass = LEAST_MASS * self.point_mass, small_mass * self.point_mass
         self._partner, self._lent = np.zeros((PARTNERS, 2), np.int64), np.zeros(PARTNERS)
-        self.balance = answers.Balance(self.bodies, mass)
+        self.balance = answers.Balance(self.bodies, mass, spent, scheme == "usf")
         self.splitter = Splitter(self.kind, self.shape, split)
         self.watch = Watch(scene, self.shape)
         self._gravity = [load for load in scene.loads if load.kind == "gravity"]
         self._body_loads = [load for load in scene.loads if load.kind == "body"]
         self._contacts = [Contact(rigid) for rigid in scene.rigids]
-        self._crossed = 0
+        self._strayed = 0.0
         self._fastest = self._largest_speed()
-        self._unbalance = self._reactions = 0.0
+        self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))
+        self._unbalance = self._reactions = self._last_dt = 0.0
         self._faulty: list[tuple[Any, ...]] = [()] * threads  # body, fault and point of each thread's first fault in a step
         self._places = answers.Places(scene, seeds, self.comm)
         self._divide()
@@ -117,6 +119,14 @@ class ExplicitMpm:
     def _speeds(self) -> list[float]:
         return [body.law.wave_speed(body.par, region.material.density) for body, region in zip(self.bodies, self.scene.regions)]
 
+    def _speed_of_waves(self) -> float:
+        """The largest speed of compression waves in the bodies as they are now (m/s). Collective."""
+        speeds = [0.0]
+        for body, region in zip(self.bodies, self.scene.regions):
+            if not self.kind.small and body.law.stretched_speed is not None and body.n:
+                speeds.append(body.law.stretched_speed(body.own("F"), body.par, region.material.density))
+        return max(max(self._speeds), self.comm.allreduce(max(speeds), op=MPI.MAX))
+
     def _weakening(self, t: float) -> float:
         return self.scene.weakening(t) if self.scene.weakening is not None else 1.0
 
@@ -128,18 +138,7 @@ class ExplicitMpm:
     # --- ranks --------------------------------------------------------------------------------------------------------
     def _divide(self) -> None:
         """Cut the grid into slabs, keep the points of this rank's slab and copies around it, and lay out its window of the grid."""
-        for body in self.bodies:
-            body.sort(self._cells(body))
-        rows = [self._rows_of(body) for body in self.bodies]
-        self.slabs = parallel.make_slabs(self.comm, np.concatenate(rows), self.grid.shape[0] - 1, self._halo())
-        if self.comm.size > 1:
-            for body, row in zip(self.bodies, rows):
-                body.remove(self.slabs.owner(row) != self.comm.rank)
-            self.grid.first, last = self.slabs.window(self.grid.shape[0])
-            low, high = self.slabs.own
-            self.grid.own = low, high if self.comm.rank < self.comm.size - 1 else high + 1
-        else:
-            last = self.grid.shape[0]
+        self.slabs, last = setting.divide(self.comm, self.grid, self.bodies, self._halo())
         self._lay_out(last)
         self._exchange()
 
@@ -151,6 +150,7 @@ class ExplicitMpm:
         self.grid.nodes = np.zeros((count, columns))
         self._nodes = [self.grid.nodes, *(np.zeros((count, columns)) for _ in range(self.threads - 1))]
         self._cell_sums = [np.zeros((count if self.kind.cure else 0, 3)) for _ in range(self.threads)]
+        self._scratch = np.zeros((self.threads, passes.SCRATCH))
         self._sums, self._marks = np.zeros((self.threads, g.SUMS)), np.zeros((self.threads, g.MARKS), np.int64)
         coordinates = g.on_edges(self.grid.coordinates(), self._bounds, self.h)
         row = self.grid.first + np.arange(count) // per_row
@@ -172,19 +172,6 @@ class ExplicitMpm:
         own = max((self.splitter.extent(body, self.h) for body in self.bodies), default=0.0)
         return self.comm.allreduce(own, op=MPI.MAX)
 
-    def _rows_of(self, body: Body) -> Array:
-        """The cell along x of each own point."""
-        at = body.own("X" if self.kind.small else "x")
-        return ((at[:, 0] - self.grid.low[0]) * (1.0 / self.h)).astype(np.int64)
-
-    def _cells(self, body: Body) -> Array:
-        """The number of the cell of each own point: that of its low node on the whole lattice."""
-        at = body.own("X" if self.kind.small else "x")
-        number = np.zeros(body.n, np.int64)
-        for c, count in enumerate(self.grid.shape):
-            number = number * count + ((at[:, c] - self.grid.low[c]) * (1.0 / self.h)).astype(np.int64)
-        return number
-
     def _exchange(self) -> None:
         if self.comm.size > 1:
             with phase("exchange"):
@@ -193,19 +180,21 @@ class ExplicitMpm:
                     self.grid.first, last = self.slabs.window(self.grid.shape[0])
                     self._lay_out(last)
                 for body in self.bodies:
-                    parallel.exchange(body, self._rows_of(body), self.slabs)
+                    parallel.exchange(body, setting.rows_of(body, self.grid), self.slabs)
         self._cuts = [np.linspace(0, body.N, self.threads + 1).astype(int) for body in self.bodies]
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def dt(self) -> float:
-        """The Courant step (s), or the scene's load step."""
-        return self._courant() if self.scene.dynamic else self.scene.t_end / self.load_steps
+        """The stable step (s), or the share of the scene's load that is next."""
+        if self.scene.dynamic:
+            return self._courant()
+        return self.scene.t_end / (self.load_steps if self.passages is None else max(self.load_steps, SAMPLES))
 
     def step(self, dt: float) -> None:
         """One explicit step; in a scene without inertia many of them, of which only the last one moves ``t``.
 
         Raises ``Breakdown``: ``tangle`` (det F <= 0 at a point), ``volume`` (a point left the grid), ``cfl`` (velocities
-        beyond ten wave speeds), ``energy`` (twice the energy that was ever put in), ``newton`` (no rest under a load),
+        beyond all measure: see ``TOO_FAST``), ``energy`` (twice the energy that was ever put in), ``newton`` (no rest under a load),
         ``fracture`` (a body that is to stay whole fell apart).
         """
         if self.scene.dynamic:
@@ -218,7 +207,8 @@ class ExplicitMpm:
             self._relax(dt)
 
     def _courant(self) -> float:
-        return self.cfl * self.h / (self.wave_speed + math.sqrt(self._fastest))
+        wave = self._sound if self._nodal is None else 0.5 * self.h * self._nodal.frequency(self)
+        return self.cfl * self.h / (wave + math.sqrt(self._fastest))
 
     def _push(self, dt: float) -> None:
         """Raise the load by dt at a steady rate: the whole of it takes ``passages`` passages of a wave through the body."""
@@ -286,12 +276,13 @@ class ExplicitMpm:
     def _advance(self, dt: float, t1: float) -> None:
         """One explicit step of dt (s) that ends at the scene's time t1."""
         gravity = self._loads(dt, t1)
+        self._last_dt = dt
         self._sums[:] = 0.0
         self._marks[:] = 0
         self._faulty = [()] * self.threads
         self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
         rows = self.grid.rows
-        self._over_nodes(lambda thread, box: [g.clear(nodes, box, rows) for nodes in self._nodes[:1]])
+        self._over_nodes(lambda thread, box: g.clear(self.grid.nodes, box, rows))
         self._scatter(START if self.scheme == "usf" else ALL)
         if not self._marks[:, g.FAULT].any():
             if self.scheme == "usf":
@@ -327,7 +318,7 @@ class ExplicitMpm:
                 for contact in self._contacts:
                     contact.force += contact.touch(body, region.material.density * speed**2 / self.h, self.h, dt)
                 self._impulse[: scene.gdim] += dt * force[: body.n].sum(axis=0)
-        return tuple(gravity.tolist())
+        return float(gravity[0]), float(gravity[1]), float(gravity[2])
 
     def _scatter(self, what: str) -> None:
         """Points to the grid."""
@@ -390,11 +381,11 @@ class ExplicitMpm:
         W = 1 + 2 * dim
         if self.scheme == "musl" and kind.transfer == "xpic":
             self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
-        advance = [passes.make_advance(kind, body.law.point if fused else None) for body in self.bodies]
+        advance = [passes.make_advance(kind, body.answer if fused else None) for body in self.bodies]
         self._over_points(
             lambda t, body, k, lo, hi: advance[k](
                 body.cloud, lo, hi, body.n, nodes, self._nodes[t], lattice, body.par, dt, self.flip, self.h,
-                self._sums[t], self._marks[t],
+                self._scratch[t], self._sums[t], self._marks[t],
             )
         )  # fmt: skip
         if self.scheme == "musl":
@@ -404,7 +395,9 @@ class ExplicitMpm:
         if not fused and self.scheme != "usf":
             self._strain(dt)
         if self.shape.domain == "corners" and not kind.small:
-            self._over_points(lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt))
+            self._over_points(
+                lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt, self._marks[t])
+            )
 
     def _strain(self, dt: float) -> None:
         """Strains and stresses from the velocities on the grid."""
@@ -414,10 +407,21 @@ class ExplicitMpm:
                 self._sum_cells(passes.make_pressures(kind), (0, 1))
             dilate = passes.make_dilate(kind)
             self._sum_cells(lambda q, lo, hi, lat, cells: dilate(q, lo, hi, nodes, lat, cells, dt), (2,))
-        strain = [passes.make_strain(kind, body.law.point) for body in self.bodies]
+        strain = [passes.make_strain(kind, body.answer) for body in self.bodies]
         self._over_points(
             lambda t, body, k, lo, hi: strain[k](
-                body.cloud, lo, hi, body.n, nodes, lattice, self._cell_sums[0], body.par, dt, self._sums[t], self._marks[t]
+                body.cloud,
+                lo,
+                hi,
+                body.n,
+                nodes,
+                lattice,
+                self._cell_sums[0],
+                body.par,
+                dt,
+                self._scratch[t],
+                self._sums[t],
+                self._marks[t],
             )
         )
 
@@ -463,22 +467,24 @@ class ExplicitMpm:
         self.balance.add(sums)
         if fault:
             raise Breakdown(*fault)
-        if not self._fastest <= (10.0 * self.wave_speed) ** 2:  # nan fails too
-            raise Breakdown("cfl", f"a material point is faster than ten wave speeds at t = {self._now:.4g}")
+        if not self._fastest <= self._too_fast**2:  # nan fails too
+            raise Breakdown("cfl", f"a material point is faster than {self._too_fast:.4g} m/s at t = {self._now:.4g}")
         if self.balance.exploded:
             raise Breakdown("energy", f"more than twice the energy put in is there at t = {self._now:.4g}")
         for body in self.bodies:
             body.settle()
+        if self.work["steps"] % SOUND == 0:
+            self._sound = self._speed_of_waves()
         moved = math.sqrt(self._fastest) * dt / self.h
         changed = self.splitter.check(self.bodies, self.h, moved, self.comm)
-        self._crossed += int(sums[g.CROSSED])
-        if changed or self._crossed > self.sort_after * self._total >= self.sort_after * WORTH_SORTING:
+        self._strayed += dt * math.sqrt(2.0 * self.balance.kinetic / self.balance.mass) / self.h
+        if changed or (self._strayed > self.sort_after and self._total >= WORTH_SORTING):
             with phase("sort"):
                 for body in self.bodies:
                     body.N = body.n
-                    body.sort(self._cells(body))
+                    body.sort(setting.cells_of(body, self.grid))
                     body.make_room(body.N)
-            self._crossed = 0
+            self._strayed = 0.0
         if changed or self.comm.size > 1:
             self._exchange()
         self.watch.look(self, moved)
@@ -501,6 +507,8 @@ class ExplicitMpm:
                 place = f"the material point of ({', '.join(f'{v:.4g}' for v in X)}) m, now at ({', '.join(f'{v:.4g}' for v in x)}) m,"
                 if fault == g.ESCAPED:
                     return "volume", f"{place} left the background grid at t = {self._now:.4g}"
+                if fault == g.FOLDED:
+                    return "tangle", f"the domain of {place} is no longer convex at t = {self._now:.4g}"
                 return "tangle", f"{place} is turned inside out (det F <= 0) at t = {self._now:.4g}"
         return None
 
@@ -520,14 +528,14 @@ class ExplicitMpm:
         self._box = (0,) * 6
         fused = self.scheme == "usl" and not self.kind.cure
         for body in self.bodies:
-            passes.make_advance(self.kind, body.law.point if fused else None)(
+            passes.make_advance(self.kind, body.answer if fused else None)(
                 body.cloud, 0, 0, 0, self.grid.nodes, self.grid.nodes, self.grid.lattice, body.par, 1.0, self.flip, self.h,
-                self._sums[0], self._marks[0],
+                self._scratch[0], self._sums[0], self._marks[0],
             )  # fmt: skip
             if not fused:
-                passes.make_strain(self.kind, body.law.point)(
+                passes.make_strain(self.kind, body.answer)(
                     body.cloud, 0, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], body.par, 1.0,
-                    self._sums[0], self._marks[0],
+                    self._scratch[0], self._sums[0], self._marks[0],
                 )  # fmt: skip
         self._cuts, self._box = cuts, box
         for name, value in saved.items():
@@ -544,8 +552,14 @@ class ExplicitMpm:
         return self._places.probe(probe, self.bodies, self.t)
 
     def energy(self) -> dict[str, float]:
-        """Kinetic energy of the points, work of the stresses, and work of loads and supports since t = 0 (J per metre)."""
-        return {"kinetic": self.balance.kinetic, "internal": self.balance.internal, "external": self.balance.external}
+        """Kinetic energy of the points, stored energy or else work of the stresses, and work of loads and supports since t = 0 (J per
+        metre), at one instant. Collective."""
+        balance, dim, grid = self.balance, self.grid.dim, self.grid
+        if balance.spent:
+            return balance.energy()
+        # the change of the nodes' kinetic energy in the last step is the work done on them, less that which the stresses took
+        gained = g.gained(grid.nodes, dim, self._box, grid.rows, grid.own, self._last_dt)
+        return balance.energy(balance.stored(self.bodies, self.comm), balance.last[2] - self.comm.allreduce(gained))
 
     def checks(self) -> dict[str, float | None]:
         """Drift of the mass, the momentum that no force accounts for against the largest there has been, and drift of the volume."""
@@ -571,45 +585,30 @@ class ExplicitMpm:
         per_row = int(np.prod(self.grid.shape[1:]))
         a, b = (row * per_row - self.grid.first * per_row for row in self.grid.own)
         reached = int(np.count_nonzero(self.grid.nodes[max(a, 0) : b, g.MASS]))
-        occupied = len(np.unique(np.concatenate([self._cells(body) for body in self.bodies])))
+        occupied = len(np.unique(np.concatenate([setting.cells_of(body, self.grid) for body in self.bodies])))
         return self.comm.allreduce(reached), self.comm.allreduce(occupied)
 
     # --- checkpoints --------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
         """All that a checkpoint must hold, on rank 0. Collective."""
-        out = {}
-        for k, body in enumerate(self.bodies):
-            fields = parallel.gathered(self.comm, body)
-            if fields is not None:
-                out |= {f"{name}_{k}": values for name, values in fields.items()}
-        return out | {
+        return setting.gather(self.comm, self.bodies) | {
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
             "last": np.array(
-                [self._fastest, self._unbalance, self._reactions, self._crossed, *self.splitter.state(), *self.watch.state()]
-            ),
+                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound]
+                + [*self.splitter.state(), *self.watch.state()]
+            ),  # fmt: skip
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
 
     def restore(self, state: dict[str, Array]) -> None:
         """Take up what ``state`` gave, on any number of ranks. Collective."""
-        for k, body in enumerate(self.bodies):
-            fields = {name: state[f"{name}_{k}"] for name in KEPT}
-            body.n = body.N = 0
-            body.add(fields, own=True)
-            if self.comm.size > 1:
-                body.remove(self.slabs.owner(self._rows_of(body)) != self.comm.rank)
-            order = np.argsort(body.own("key"), kind="stable")
-            for name in KEPT:
-                body.own(name)[:] = body.own(name)[order]
-            body.make_room(body.N)
-            body.settle()
+        setting.scatter(state, self.bodies, self.grid, self.slabs)
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
-        self._fastest, self._unbalance, self._reactions, crossed, split, *watch = state["last"].tolist()
+        self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, split, *watch = state["last"].tolist()
         self.splitter.restore(split)
         self.watch.restore(*watch)
-        self._crossed = int(crossed)
         self.work["steps"], self.work["point_steps"] = state["work"].tolist()
         self.splitter.total = 0
         self.grid.nodes[:] = 0.0

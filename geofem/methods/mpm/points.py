@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from geofem.materials import Kernels
-from geofem.methods.mpm.passes import Cloud
+from geofem import materials
+from geofem.methods.mpm.passes import Answer, Cloud
 from geofem.methods.mpm.seed import Seeds
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.mistake import Breakdown
-from geofem.scene import Array
+from geofem.scene import Array, Material
 
 KEPT = ("X", "x", "v", "C", "F", "tau", "state", "mass", "volume", "domain", "grip", "id", "key")
 """What a point takes along to another rank and into a checkpoint."""
@@ -28,9 +28,11 @@ class Body:
     key (N,) its place in the common order of all ranks. Arrays are longer than the points they hold.
     """
 
-    def __init__(self, seeds: Seeds, law: Kernels, par: Array, density: float, kind: Any, domain: str, h: float, gripped: bool):
+    def __init__(self, seeds: Seeds, material: Material, par: Array, kind: Any, domain: str, h: float, gripped: bool):
+        law = materials.get(material.law)
         self.law, self.par, self.kind = law, par, kind
-        self.exact = seeds.exact
+        self.answer = Answer(law.point, materials.LAWS[material.law].history, law.state_size(4) > 0)
+        self.exact, self.density = seeds.exact, material.density
         N, d = seeds.points.shape
         m, g = (4, 5) if d == 2 else (6, 9)
         if domain == "corners":
@@ -52,7 +54,7 @@ class Body:
             "F": np.tile(self._identity, (N, 1)),
             "tau": np.zeros((N, m)),
             "state": np.ascontiguousarray(law.initial_state(N, m), float),
-            "mass": seeds.volumes * density,
+            "mass": seeds.volumes * material.density,
             "volume": seeds.volumes.copy(),
             "domain": np.ascontiguousarray(place, float),
             "grip": np.zeros((N, d if gripped else 0)),
@@ -98,7 +100,7 @@ class Body:
             self._cloud = Cloud(
                 X=a["X"][:N], x=a["x"][:N], at=at[:N], v=a["v"][:N], C=a["C"][:N], F=a["F"][:N], L=self.increment[:N],
                 tau=a["tau"][:N], state=a["state"][:N], mass=a["mass"][:N], volume=a["volume"][:N], force=self.force[:N],
-                domain=a["domain"][:N], stretch=self.stretch[:N], order=self._order,
+                domain=a["domain"][:N], stretch=self.stretch[:N], order=self._order, per_density=1.0 / self.density,
             )  # fmt: skip
         return self._cloud
 
@@ -126,7 +128,9 @@ class Body:
     # --- the common order -----------------------------------------------------------------------------------------------
     def sort(self, cell: Array) -> None:
         """Put the own points, in the cells ``cell`` (n,), in the order of their cells, and those of a cell in that of their numbers."""
-        if self.n and max(int(cell.max()), int(self.arrays["id"][: self.n].max())) >= SHIFT:
+        if not self.n:
+            return
+        if max(int(cell.max()), int(self.arrays["id"][: self.n].max())) >= SHIFT:
             raise Breakdown("volume", "more cells or points than the order of points can tell apart (2**31)")
         key = self.arrays["key"]
         key[: self.n] = cell * SHIFT + self.arrays["id"][: self.n]

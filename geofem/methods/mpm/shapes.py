@@ -42,6 +42,7 @@ class Shape:
     domain : what ``Points.domain`` holds of a point: "half" the half lengths (dim) in the reference configuration;
         "edges" the half edge vectors there (dim * dim, one after the other); "corners" the present corners (4 x, y).
     spread : the domain has any size, as it stretches with the deformation.
+    ends : the functions change at the edge of the room, beyond which no point may go.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Shape:
     pad: int = 0
     domain: str = "half"
     spread: bool = False
+    ends: bool = False
 
 
 # --- weights along one direction ----------------------------------------------------------------------------------------
@@ -110,7 +112,11 @@ def bspline3(s: float, l: float, edge: int, last: int) -> Any:
 def averaged(u: float, l: float) -> tuple[float, float]:
     """Weight and slope of the hat at distance u averaged over u - l ... u + l, for any l."""
     a, b = min(max(u - l, -1.0), 1.0), min(max(u + l, -1.0), 1.0)
-    return (0.5 / l) * (b - a - 0.5 * (b * abs(b) - a * abs(a))), (0.5 / l) * (abs(a) - abs(b))
+    # the two sides apart and without differences of like numbers: a weight that rounds to nothing beside a slope that does not
+    # would leave a node with a force and no mass
+    c, d, e, f = max(a, 0.0), max(b, 0.0), max(-b, 0.0), max(-a, 0.0)
+    right, left = (d - c) * (1.0 - 0.5 * (c + d)), (f - e) * (1.0 - 0.5 * (e + f))
+    return (0.5 / l) * (right + left), (0.5 / l) * (abs(a) - abs(b))
 
 
 # --- loops over the sites -------------------------------------------------------------------------------------------------
@@ -329,8 +335,8 @@ SHAPES = {
         Shape("cpgimp", spans, pad=2, spread=True),
         Shape("cpdi", parallelograms, pad=2, domain="edges", spread=True),
         Shape("cpdi2", quadrilaterals, pad=2, domain="corners", spread=True),
-        Shape("bspline2", product(bspline2, 3), reach=0.5, pad=1),
-        Shape("bspline3", product(bspline3, 4), reach=1.0, pad=1),
+        Shape("bspline2", product(bspline2, 3), reach=0.5, pad=1, ends=True),
+        Shape("bspline3", product(bspline3, 4), reach=1.0, pad=1, ends=True),
     )
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from geofem.scene import Array, Scene
 
 WAY = 0.25
 """Cells that the fastest point may go between two looks."""
+REDUCTIONS = 20
+"""Rounds of the reduction of a lattice; each halves an edge at least."""
 
 
 class Splitter:
@@ -53,6 +56,8 @@ class Splitter:
         if self._way < WAY:
             return False
         self._way = 0.0
+        for body in bodies:
+            self._reduce(body, h)
         count = sum(self._split(body, h) for body in bodies)
         count = comm.allreduce(count)
         if count:
@@ -64,6 +69,34 @@ class Splitter:
 
     def restore(self, way: float) -> None:
         self._way = way
+
+    def _reduce(self, body: Body, h: float) -> None:
+        """Choose the shortest edges for parallelograms that are too long, by Gauss's reduction of their lattice.
+
+        Domains of edges a, b and a, b - k a tile the plane in the same points, with the same areas, for any whole k. Shear would
+        else make of every domain a needle with two long edges in almost one direction, from which no gradient can be told.
+        """
+        if self.shape.domain != "edges" or not body.n:
+            return
+        now = self.edges(body, h)
+        due = np.flatnonzero(np.linalg.norm(now, axis=2).max(axis=1) > self.longest)
+        d = now.shape[1]
+        born = body.own("domain").reshape(-1, d, d)
+        now, new = now[due], born[due]
+        rows = np.arange(len(due))
+        for _ in range(REDUCTIONS):
+            lengths = np.einsum("nai,nai->na", now, now)
+            order = np.argsort(lengths, axis=1)
+            changed = False
+            for i, j in itertools.combinations(range(d), 2):
+                short, long = order[:, i], order[:, j]
+                k = np.round(np.einsum("ni,ni->n", now[rows, short], now[rows, long]) / lengths[rows, short])
+                changed |= bool(k.any())
+                for edges in (now, new):
+                    edges[rows, long] -= k[:, None] * edges[rows, short]
+            if not changed:
+                break
+        born[due] = new
 
     def _split(self, body: Body, h: float) -> int:
         """Halve the domains of own points that are too long; mass, momentum and volume are kept. Returns how many."""

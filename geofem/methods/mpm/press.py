@@ -1,0 +1,100 @@
+"""Rigid bodies against material points in a load step at rest: the penalty of ``contact`` with its tangent.
+
+The reach of a domain and its share of the surface are those at the start of the step; the depth, and with Coulomb's friction the slip
+since then, follow the trial displacement.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from geofem.methods.mpm.contact import Contact, make_reach
+from geofem.methods.mpm.grid import OPTIONS
+from geofem.methods.mpm.points import Body
+from geofem.methods.mpm.shapes import SHAPES
+from geofem.scene import Array
+
+
+class Press:
+    """All rigid bodies against all points of a rank, one body after the other; ``forces`` (N, 2) are those of each rigid body."""
+
+    def __init__(self, contacts: list[Contact], bodies: list[Body], stiffness: list[float], h: float):
+        self.contacts, self.bodies, self.stiffness, self.h = contacts, bodies, stiffness, h
+        self.grips = [np.zeros((body.n, 2)) for body in bodies]
+
+    def __call__(self, u: Array) -> tuple[Array, Array]:
+        """Forces (N, 2) on points displaced by u (N, 2), and minus their derivative (N, 2, 2)."""
+        force, spring = np.zeros_like(u), np.zeros((len(u), 2, 2))
+        for contact in self.contacts:
+            contact.force[:] = 0.0
+        at = 0
+        for body, grip, k in zip(self.bodies, self.grips, self.stiffness):
+            part = slice(at, at + body.n)
+            at += body.n
+            grip[:] = 0.0
+            press = make_press(SHAPES[body.kind.shape].domain, body.kind.small)
+            for contact in self.contacts:
+                contact.force += press(
+                    body.cloud, body.arrays["grip"], body.n, u[part], contact.faces, contact.box, contact.velocity,
+                    contact.friction, k, self.h, force[part], spring[part], grip,
+                )  # fmt: skip
+        return force, spring
+
+    def commit(self) -> None:
+        for body, grip in zip(self.bodies, self.grips):
+            body.own("grip")[:] = grip
+
+
+@cache
+def make_press(kind: str, small: bool) -> Any:
+    """The pass over the points, for domains given by half lengths, edges or corners."""
+    reach = make_reach(kind)
+
+    @njit(**OPTIONS)
+    def press(q, grip, own, u, faces, box, moved, friction, stiffness, h, force, spring, new_grip):  # type: ignore[no-untyped-def]
+        total = np.zeros(2)
+        margin = 2.0 * h
+        for p in range(own):
+            x, y = q.x[p, 0] + u[p, 0], q.x[p, 1] + u[p, 1]
+            if x < box[0] - margin or x > box[2] + margin or y < box[1] - margin or y > box[3] + margin:
+                continue
+            best, face, extent = -np.inf, 0, 0.0
+            for k in range(len(faces)):
+                nx, ny = faces[k, 0], faces[k, 1]
+                e = reach(q, p, nx, ny, h)
+                s = nx * (x - faces[k, 2]) + ny * (y - faces[k, 3]) - e
+                if s > best:
+                    best, face, extent = s, k, e
+            if best >= 0.0:
+                continue
+            nx, ny = faces[face, 0], faces[face, 1]
+            F = q.F[p]
+            J = 1.0 if small else (F[0] * F[3] - F[1] * F[2]) * F[4]
+            k = stiffness * 0.5 * q.volume[p] * J / extent
+            push = -k * best
+            slip = -ny * (u[p, 0] - moved[0]) + nx * (u[p, 1] - moved[1])
+            hold = -ny * grip[p, 0] + nx * grip[p, 1] - k * slip
+            most = friction * push
+            along, across = k, 0.0
+            if hold > most:
+                hold, along, across = most, 0.0, friction * k
+            elif hold < -most:
+                hold, along, across = -most, 0.0, -friction * k
+            new_grip[p, 0] += -ny * hold
+            new_grip[p, 1] += nx * hold
+            fx, fy = push * nx - ny * hold, push * ny + nx * hold
+            force[p, 0] += fx
+            force[p, 1] += fy
+            total[0] += fx
+            total[1] += fy
+            spring[p, 0, 0] += k * nx * nx + along * ny * ny - across * ny * nx
+            spring[p, 0, 1] += k * nx * ny - along * ny * nx - across * ny * ny
+            spring[p, 1, 0] += k * ny * nx - along * nx * ny + across * nx * nx
+            spring[p, 1, 1] += k * ny * ny + along * nx * nx + across * nx * ny
+        return total
+
+    return press
