@@ -23,10 +23,10 @@ CASES = [(s, d, t) for s in ("cpgimp", "cpdi", "cpdi2") for d in (2, 3) for t in
 
 def stretched(shape: str, dim: int, transfer: str) -> tuple[Body, Splitter, float]:
     """A body of 4^d points with random velocities, stresses and deformations; no kernel is compiled for it."""
-    kind = Kind(shape, dim, False, False, "usl", transfer, True, False)
+    kind = Kind(shape, dim, axial=False, small=False, scheme="usl", transfer=transfer, loaded=True, spent=False, cure=False)
     law, h = materials.get("neo_hooke"), 0.25
     seeds = fill(Box((0.0,) * dim, (1.0,) * dim), 0.25)
-    body = Body(seeds, law, law.parameters(SOFT, 1.0), 1000.0, kind, SHAPES[shape].domain, h, True)
+    body = Body(seeds, SOFT, law.parameters(SOFT, 1.0), kind, SHAPES[shape].domain, h, True)
     rng = np.random.default_rng(3)
     for name in ("v", "C", "tau", "state", "grip"):
         body.own(name)[:] = rng.normal(size=body.own(name).shape)
@@ -84,7 +84,7 @@ def test_a_split_keeps_what_a_point_had(shape: str, dim: int, transfer: str) -> 
 
 def test_domains_that_do_not_stretch_are_never_split() -> None:
     for shape, small in (("gimp", False), ("bspline2", False), ("cpdi", True)):
-        kind = Kind(shape, 2, False, small, "usl", "flip", False, False)
+        kind = Kind(shape, 2, axial=False, small=small, scheme="usl", transfer="flip", loaded=False, spent=False, cure=False)
         assert Splitter(kind, SHAPES[shape], 0.6).longest == 0.0
 
 

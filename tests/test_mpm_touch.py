@@ -65,10 +65,11 @@ def test_a_block_on_an_incline_slides_beyond_the_angle_of_friction(shape: str, s
     for tilt in (0.4, 0.6):
         model = finish(build(on_floor(0.0, 0.5, 0.4, tilt, ramp=0.1), shape, n=4, scheme=scheme))
         way[tilt] = float(np.mean((model.bodies[0].own("x") - model.bodies[0].own("X"))[:, 0]))
-    # friction and weight grow together in the ramp, of which a sixth of its square is lost
+    # friction and weight grow together in the ramp of .1 s
     cos = 1 / np.hypot(0.6, 1.0)
     slides = G * cos * (0.6 - 0.5) * (0.3**2 / 2 + 0.1 / 2 * 0.3 + 0.1**2 / 6)
-    assert way[0.6] == pytest.approx(slides, abs=0.006)  # the shear strain of the block adds some 3 mm
+    # waves in the block let parts of its base stick now and then, where friction is below mu N: it goes somewhat farther
+    assert 0.97 * slides < way[0.6] < 1.2 * slides
     assert way[0.4] < 0.006 < 0.2 * slides
 
 
@@ -118,9 +119,9 @@ def test_friction_of_a_plate_is_capped(shape: str, scheme: str) -> None:
     path = plate(lambda t: (0.02 * max(0.0, t - 0.3) / 0.7, -0.004 * min(1.0, t / 0.3)), mu)
     clamp = replace(BASE, components=(0, 1))
     scene = replace(block(None, t_end=1.0, supports=(clamp,), rigids=(path,), probes=FORCE), dynamic=False)
-    model = finish(build(scene, shape, n=4, scheme=scheme, tolerance=1e-5))
+    model = finish(build(scene, shape, n=4, scheme=scheme, passages=60.0))
     fx, fy = (model.probe(probe) for probe in FORCE)
-    assert fy < 0 and 0.85 * mu * abs(fy) < fx <= mu * abs(fy) * (1 + 1e-9)
+    assert fy < 0 and 0.95 * mu * abs(fy) < fx <= mu * abs(fy) * (1 + 1e-9)
     # held within the cone the plate sticks: a tenth of a millimetre of shear takes less than mu N
     path = plate(lambda t: (1e-4 * max(0.0, t - 0.3) / 0.7, -0.004 * min(1.0, t / 0.3)), mu)
     model = finish(build(replace(scene, rigids=(path,)), shape, n=4, scheme=scheme, tolerance=1e-5))
@@ -130,7 +131,7 @@ def test_friction_of_a_plate_is_capped(shape: str, scheme: str) -> None:
 
 @pytest.mark.parametrize("shape, scheme", SHAPES)
 def test_a_plate_lets_go(shape: str, scheme: str) -> None:
-    """Pushed in and drawn back within .04 s: a force while it is in, none to pull; the work it did stays in the block, but for losses of the grid."""
+    """Pushed in and drawn back within .04 s: a force while it is in, none to pull; its work stays in the block, but for losses."""
     stroke = plate(lambda t: (0.0, -0.01 * np.sin(np.pi * min(t / 0.04, 1.5))))
     scene = block(None, 0.06, supports=(BASE,), rigids=(stroke,), probes=FORCE)
     model = build(scene, shape, n=6, scheme=scheme)

@@ -121,7 +121,7 @@ def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, gravity
             for c in range(dim):
                 old = nodes[n, VELOCITY + c]
                 new = 0.0 if c == axis else kept * old
-                change, a = new - old, nodes[n, VELOCITY + dim + c]
+                change = new - old
                 nodes[n, VELOCITY + c] = new
                 nodes[n, VELOCITY + dim + c] += change / dt
                 reaction[k, c] = m * change / dt
