@@ -13,10 +13,11 @@ of the mass lie.
 Reference. None: methods are compared with one another. Two statements check a run: with `f` above 1.02 the slope must
 stand (bracket of limit analysis, 1.375 to 1.398), and at the end it must be nearly at rest.
 
-What must fail. A mesh that follows the ground tangles soon after the onset. Flow without dilation locks: material points that
-do not share the change of volume of a cell (cure = cell) run a fifteenth as far with 6 cells, and half as far with 12. A
-method whose points stick to the base leaves a film behind. With linear shape functions the stress of material points, and with it their strength, is noisy where
-they cross cells. Softening by strain, which would localise and depend on the cells, is left out.
+What must fail. A mesh that follows the ground tangles soon after the onset. Flow without dilation locks: material
+points that do not share the change of volume of a cell (cure = cell) run a fifteenth as far with 6 cells, and half as
+far with 12. A method whose points stick to the base leaves a film behind. With linear shape functions the stress of
+material points, and with it their strength, is noisy where they cross cells. Softening by strain, which would
+localise and depend on the cells, is left out.
 
 Length. The height of the slope, 5 m.
 """
