@@ -103,7 +103,7 @@ class Mpm:
             raise Mistake(
                 f"{self.name}: solver=implicit is for bodies at rest, and scene {scene.name} is in motion; use explicit"
             )
-        load_steps = load_steps or (10 if implicit else 1)
+        load_steps = load_steps if load_steps is not None else (10 if implicit else 1)
         if tolerance is None:
             tolerance = (1e-5 if plastic else 1e-9) if implicit else 1e-4
         kernel = kernel or next(iter(self.kernels))
@@ -119,7 +119,7 @@ class Mpm:
         if dt_control not in ("courant", "nodal"):
             raise unknown("dt_control", dt_control, ("courant", "nodal"))
         for knob, value in (("n", n), ("ppc", ppc), ("load_steps", load_steps), ("xpic", xpic), ("threads", threads)):
-            if value != int(value) or value < 1:
+            if not isinstance(value, int | float) or value != int(value) or value < 1:
                 raise Mistake(f"{self.name}: {knob} = {value!r} must be a whole number from 1 on")
         if flip is None:
             flip = 1.0 if scene.dynamic else 0.99

@@ -238,8 +238,11 @@ class ImplicitMpm:
         nodes = self.grid.nodes
         nodes[:] = 0.0
         nodes[system.node_of_dof, 1 : 1 + self.grid.dim] = du
+        marks = np.zeros(g.MARKS, np.int64)
         for body in self.bodies:
-            carry_corners(body.arrays["domain"], 0, body.n, nodes, self.grid.lattice, 1.0)
+            carry_corners(body.arrays["domain"], 0, body.n, nodes, self.grid.lattice, 1.0, marks)
+        if self.comm.allreduce(int(marks[g.FAULT])):
+            raise Breakdown("tangle", f"a domain is no longer convex at t = {self.t:.4g}")
 
     def _total(self) -> int:
         return self.comm.allreduce(sum(body.n for body in self.bodies))
