@@ -58,8 +58,9 @@ def test_linear_elasticity_takes_one_iteration() -> None:
 
 # --- cuts and recovery ------------------------------------------------------------------------------------------------
 def test_a_step_that_is_too_large_is_cut_and_ends_where_small_ones_do() -> None:
-    # in one step the tip of a strip under P = 50 would fly off by many times its length
-    bold, careful = (solved("cantilever", P=50, slenderness=20, n=1, steps=steps) for steps in (1, 32))
+    # in one step the tip of a strip under P = 20 would fly off by many times its length; from P = 50 it may come to rest folded,
+    # which is a balance too, but another one
+    bold, careful = (solved("cantilever", P=20, slenderness=20, n=1, steps=steps) for steps in (1, 32))
     assert bold.work["cuts"] > 0 and bold.work["steps"] > 1
     assert careful.work["cuts"] == 0 and careful.work["steps"] == 32
     # an elastic state does not depend on the path: whatever a failed attempt left behind would show
