@@ -78,7 +78,9 @@ class Walls:
 
 
 @njit(**OPTIONS)
-def hold(nodes: Any, dim: int, held: Any, least_mass: float, dt: float, gravity: Any, damping: float, sums: Any) -> None:
+def hold(
+    nodes: Any, dim: int, held: Any, least_mass: float, dt: float, ratio: float, gravity: Any, damping: float, sums: Any
+) -> None:
     """Give the held nodes their velocity after ``accelerate``; the reaction is the force that this takes without damping."""
     places, components, velocity, reaction, mine = held
     for k in range(len(places)):
@@ -91,7 +93,7 @@ def hold(nodes: Any, dim: int, held: Any, least_mass: float, dt: float, gravity:
         nodes[n, VELOCITY + dim + c] = (velocity[k] - v) / dt if m > least_mass else 0.0
         if m > least_mass:
             undamped = a / (1.0 - damping * np.sign(a) * np.sign(v))
-            reaction[k] = m * ((velocity[k] - v) / dt - undamped)
+            reaction[k] = m * ((velocity[k] - v) / dt - undamped) / ratio
             if mine[k]:
                 sums[g.UNBALANCE] -= m * abs(undamped)
                 sums[g.REACTIONS] += abs(reaction[k])
@@ -100,7 +102,7 @@ def hold(nodes: Any, dim: int, held: Any, least_mass: float, dt: float, gravity:
 
 
 @njit(**OPTIONS)
-def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, gravity: Any, sums: Any) -> None:
+def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, ratio: float, gravity: Any, sums: Any) -> None:
     """Take from the nodes of walls the velocity into the wall, and by Coulomb's law some of that along it, after ``accelerate``.
 
     All work is that of forces on the velocity after the step, as that of the stresses is: a node that rests on a wall takes none.
@@ -124,12 +126,12 @@ def stop(nodes: Any, dim: int, walls: Any, least_mass: float, dt: float, gravity
                 change = new - old
                 nodes[n, VELOCITY + c] = new
                 nodes[n, VELOCITY + dim + c] += change / dt
-                reaction[k, c] = m * change / dt
+                reaction[k, c] = m * change / (ratio * dt)
                 if mine[k]:
                     sums[g.IMPULSE + c] += m * change
                     sums[g.REACTIONS] += abs(reaction[k, c])
                     sums[g.UNBALANCE] -= abs(reaction[k, c])
-                    sums[g.WORK] += m * change * (new + dt * gravity[c])
+                    sums[g.WORK] += m * change * (new / ratio + dt * gravity[c])
 
 
 @njit(**OPTIONS)

@@ -161,10 +161,12 @@ def to_velocity(nodes: Any, momentum: int, velocity: int, dim: int, box: Any, ro
 
 @njit(**OPTIONS)
 def accelerate(
-    nodes: Any, dim: int, box: Any, rows: Any, own: Any, least_mass: float, dt: float, gravity: Any, damping: float, sums: Any
-) -> None:
+    nodes: Any, dim: int, box: Any, rows: Any, own: Any, least_mass: float, dt: float, ratio: float, gravity: Any, damping: float,
+    sums: Any,
+) -> None:  # fmt: skip
     """Forces to accelerations a, momenta to velocities v + dt a; sums over the nodes of the rank's own rows.
 
+    ratio : of the time from the middle of the last step to that of this one, for which the forces act, to dt; a is scaled by it.
     damping : share of the out-of-balance force that acts against the velocity (local damping, Cundall 1987).
     """
     middle, last, base = rows
@@ -179,7 +181,7 @@ def accelerate(
                     per_m = 1.0 / m
                     for c in range(dim):
                         v = per_m * nodes[n, VELOCITY + c]
-                        a = per_m * nodes[n, VELOCITY + dim + c] + gravity[c]
+                        a = ratio * (per_m * nodes[n, VELOCITY + dim + c] + gravity[c])
                         unbalance += m * abs(a)
                         if damping > 0.0:
                             drag = damping * abs(a) * np.sign(v)
@@ -190,7 +192,7 @@ def accelerate(
                         nodes[n, VELOCITY + c], nodes[n, VELOCITY + dim + c] = v, a
                         work += m * gravity[c] * v
                         if mine:
-                            sums[IMPULSE + c] += dt * m * gravity[c]
+                            sums[IMPULSE + c] += ratio * dt * m * gravity[c]
                 else:
                     for c in range(2 * dim):
                         nodes[n, VELOCITY + c] = 0.0

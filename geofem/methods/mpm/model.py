@@ -94,6 +94,7 @@ class ExplicitMpm:
         self._fastest = self._largest_speed()
         self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))
         self._unbalance = self._reactions = self._last_dt = 0.0
+        self._ratio = 1.0  # see grid.accelerate
         self._faulty: list[tuple[Any, ...]] = [()] * threads  # body, fault and point of each thread's first fault in a step
         self._places = answers.Places(scene, seeds, self.comm)
         self._divide()
@@ -274,7 +275,13 @@ class ExplicitMpm:
         self._each(share)
 
     def _advance(self, dt: float, t1: float) -> None:
-        """One explicit step of dt (s) that ends at the scene's time t1."""
+        """One explicit step of dt (s) that ends at the scene's time t1.
+
+        Velocities belong to the middles of steps, so that forces act from the middle of the last step to that of this one, and at
+        first for half a step: second order in time for steps of any length.
+        """
+        if self.scene.dynamic:
+            self._ratio = 0.5 * (1.0 + self._last_dt / dt)
         gravity = self._loads(dt, t1)
         self._last_dt = dt
         self._sums[:] = 0.0
@@ -317,7 +324,7 @@ class ExplicitMpm:
                     force += scene.amplitude(load, now) * body.arrays["mass"][: body.N, None] * value
                 for contact in self._contacts:
                     contact.force += contact.touch(body, region.material.density * speed**2 / self.h, self.h, dt)
-                self._impulse[: scene.gdim] += dt * force[: body.n].sum(axis=0)
+                self._impulse[: scene.gdim] += self._ratio * dt * force[: body.n].sum(axis=0)
         return float(gravity[0]), float(gravity[1]), float(gravity[2])
 
     def _scatter(self, what: str) -> None:
@@ -370,12 +377,12 @@ class ExplicitMpm:
             joined = g.merge_small(nodes, dim, self._box, rows, self.small_mass, self._partner, self._lent)
         self._over_nodes(
             lambda t, box: g.accelerate(
-                nodes, dim, box, rows, grid.own, self.least_mass, dt, gravity, self.damping, self._sums[t]
+                nodes, dim, box, rows, grid.own, self.least_mass, dt, self._ratio, gravity, self.damping, self._sums[t]
             )
         )
         g.part_again(nodes, dim, self._partner, self._lent, joined)
-        hold(nodes, dim, held, self.least_mass, dt, gravity, self.damping, self._sums[0])
-        stop(nodes, dim, walls, self.least_mass, dt, gravity, self._sums[0])
+        hold(nodes, dim, held, self.least_mass, dt, self._ratio, gravity, self.damping, self._sums[0])
+        stop(nodes, dim, walls, self.least_mass, dt, self._ratio, gravity, self._sums[0])
 
         fused = self.scheme == "usl" and not kind.cure
         W = 1 + 2 * dim
@@ -558,7 +565,7 @@ class ExplicitMpm:
         if balance.spent:
             return balance.energy()
         # the change of the nodes' kinetic energy in the last step is the work done on them, less that which the stresses took
-        gained = g.gained(grid.nodes, dim, self._box, grid.rows, grid.own, self._last_dt)
+        gained = g.gained(grid.nodes, dim, self._box, grid.rows, grid.own, self._last_dt) / self._ratio
         return balance.energy(balance.stored(self.bodies, self.comm), balance.last[2] - self.comm.allreduce(gained))
 
     def checks(self) -> dict[str, float | None]:
@@ -595,7 +602,7 @@ class ExplicitMpm:
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
             "last": np.array(
-                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound]
+                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, self._last_dt, self._ratio]
                 + [*self.splitter.state(), *self.watch.state()]
             ),  # fmt: skip
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
@@ -606,7 +613,8 @@ class ExplicitMpm:
         setting.scatter(state, self.bodies, self.grid, self.slabs)
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
-        self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, split, *watch = state["last"].tolist()
+        self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, *last = state["last"].tolist()
+        self._last_dt, self._ratio, split, *watch = last
         self.splitter.restore(split)
         self.watch.restore(*watch)
         self.work["steps"], self.work["point_steps"] = state["work"].tolist()
