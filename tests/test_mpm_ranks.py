@@ -48,10 +48,10 @@ def pulled() -> Scene:
 
 
 CASES: dict[str, tuple[Callable[[], Scene], dict[str, Any]]] = {
-    "hat": (turning, {"shape": "hat", "scheme": "musl", "small_mass": 0.1}),
-    "cpgimp": (turning, {"shape": "cpgimp", "scheme": "usf", "transfer": "apic"}),
+    "hat": (turning, {"shape": "hat", "scheme": "usf", "small_mass": 0.1}),
+    "cpgimp": (turning, {"shape": "cpgimp", "scheme": "usl", "transfer": "apic"}),
     "cpdi2": (turning, {"shape": "cpdi2", "scheme": "usl", "transfer": "apic"}),
-    "bspline3": (turning, {"shape": "bspline3", "scheme": "usl", "transfer": "xpic", "xpic": 3}),
+    "bspline2": (turning, {"shape": "bspline2", "scheme": "musl", "transfer": "xpic", "xpic": 3}),
     "split": (pulled, {"shape": "cpdi", "scheme": "usl", "split": 0.51}),
     "cure": (turning, {"shape": "gimp", "scheme": "usl", "cure": "cell"}),
     "empty": (strip, {"shape": "gimp", "scheme": "usl"}),
