@@ -14,7 +14,7 @@ from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.advance import make_advance, make_strain
 from geofem.methods.mpm.conditions import Held, Walls, hold, set_velocity, stop
 from geofem.methods.mpm.cure import make_dilate, make_pressures
-from geofem.methods.mpm.deeds import ALL, FORCES, START, VELOCITY
+from geofem.methods.mpm.deeds import ALL, FORCES, MASS, START, VELOCITY
 from geofem.methods.mpm.kind import SCRATCH, Kind
 from geofem.methods.mpm.parts import carry_corners, make_hear, make_tell
 from geofem.methods.mpm.points import Body
@@ -88,6 +88,17 @@ class Stepper:
     def gained(self, dt: float) -> float:
         """The change of the nodes' kinetic energy in the last step of dt (J)."""
         return g.gained(self.grid.nodes, self.grid.dim, self.box, self.grid.rows, self.grid.own, dt) / self.ratio
+
+    def velocity(self) -> Array:
+        """The velocity (nodes, d) that the points' momenta give the nodes of the rank's window now (m/s); zero where no point is."""
+        nodes, marks = np.zeros_like(self.grid.nodes), np.zeros(g.MARKS, np.int64)
+        scatter = make_scatter(self.kind, START if self.kind.scheme == "usf" else ALL)
+        for body in self.bodies:
+            scatter(body.cloud, 0, body.N, nodes, self.grid.lattice, self._cell_sums[0], marks)
+        there = nodes[:, MASS] > self.least_mass
+        out: Array = np.zeros((len(nodes), self.grid.dim))
+        out[there] = nodes[there, VELOCITY : VELOCITY + self.grid.dim] / nodes[there, MASS][:, None]
+        return out
 
     def fault(self, now: float) -> tuple[str, str] | None:
         """Cause and words of a fault in this rank's own points."""
