@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from geofem import materials
 from geofem.cost import phase
 from geofem.methods.mpm import answers, parallel, setting
 from geofem.methods.mpm import grid as g
+from geofem.methods.mpm.background import Background
 from geofem.methods.mpm.conditions import Held, Walls
 from geofem.methods.mpm.contact import Contact
 from geofem.methods.mpm.kind import Kind
@@ -346,8 +349,17 @@ class ExplicitMpm:
         """Drift of the mass, the momentum that no force accounts for against the largest there has been, and drift of the volume."""
         return self.balance.checks(self.bodies, self.comm)
 
-    def functions(self) -> list[Any]:
-        return []
+    def functions(self) -> list[fem.Function]:
+        """The velocity that the points give the background grid."""
+        mesh, velocity = self._grid_mesh
+        mesh.fill(velocity, self.stepper.velocity())
+        return [velocity]
+
+    @cached_property
+    def _grid_mesh(self) -> tuple[Background, fem.Function]:
+        mesh = Background(self.grid, self.slabs, self.comm)
+        space = fem.functionspace(mesh.mesh, ("Lagrange", 1, (self.grid.dim,)))
+        return mesh, fem.Function(space, name="velocity")
 
     def snapshot(self) -> dict[str, Any]:
         """Points where they are now, in the order of their numbers, region after region; on rank 0."""
