@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from geofem import methods, scenes
 from geofem.mistake import Mistake
 from geofem.result import Result
 from geofem.scene import Scene
 from geofem.scenes import cook
 from geofem.study import chart, recommend, rows, stability, sweep
 from geofem.study.ladders import LADDERS, SAMPLE, Ladder, default_ladders
-from geofem.study.maps import MAPS, Map, Variant
+from geofem.study.maps import MAPS, Map, Scale, Variant
 
 STAND_IN = """
 import json, os, signal, sys, time
@@ -39,6 +42,8 @@ for i, knobs in enumerate(task["runs"]):
     error = knobs["n"] ** -2.0 + knobs.get("locks", 0.0) / distance
     result = Result(task["scene"], task["method"], knobs=knobs, qoi={"u": 1 + error}, error={"u": error},
                     size={"dofs": knobs["n"] ** 2}, cost={"cpu_s": 1e-3 * knobs["n"] ** 2, "rss_mb": 100.0, "runs": task["repeats"]})
+    if distance > knobs.get("breaks", 1e9):
+        result.status, result.cause, result.at = "failed", "fracture", {"t": 1.0, "distance": knobs["breaks"]}
     result.save(Path(task["folder"]) / str(i))
     print(result.to_json(), flush=True)
 """
@@ -334,6 +339,59 @@ def test_own_reference_of_a_map_replaces_the_scenes(worker: None, tmp_path: Path
                reference=Variant("fine", "fem", {"n": 10}), coarse=2, bisections=0)  # fmt: skip
     (line,) = stability.survey(this, tmp_path)
     assert line.points[0].error == pytest.approx((1 / 4 - 1 / 100) / (1 + 1 / 100), rel=1e-12)
+
+
+def test_run_along_the_axis_tells_the_boundary_itself(worker: None, tmp_path: Path) -> None:
+    variants = (Variant("breaks", "fem", {"n": 100, "breaks": 2.7}), Variant("holds", "fem", {"n": 100}))
+    this = Map("made_up", "", "cook", "u", variants, "distance", "distance", 1.0, 5.0, 0.1, scale=Scale("linear"),
+               along="distance", coarse=5)  # fmt: skip
+    breaks, holds = stability.survey(this, tmp_path)
+    assert [point.x for point in breaks.points] == [1, 2, 3, 4, 5], "no bisection"
+    assert breaks.boundary == 2.7 and holds.boundary is None
+    assert {(point.cause, point.at) for point in breaks.points[2:]} == {("fracture", 2.7)}
+    assert stability.edges(breaks, this) == [1, 1.5, 2.7, 3.5, 4.5, 5], "the field of failure begins where the run ended"
+    axes = stability.draw(this, [breaks, holds]).axes[0]
+    assert axes.get_xscale() == "linear" and "× fracture" in {text.get_text() for text in axes.texts}
+
+
+def test_worst_of_several_cases_counts(worker: None, tmp_path: Path) -> None:
+    cases = [{"locks": locks} for locks in (0.0, 1e-3, 1e-4)]
+    this = Map("made_up", "", "cook", "u", (Variant("fem", "fem", {"n": 10}),), "distance", "", 1.0, 0.01, 1.0,
+               cases=cases, coarse=2, bisections=0)  # fmt: skip
+    (line,) = stability.survey(this, tmp_path)
+    assert [point.error for point in line.points] == pytest.approx([0.01 + 1e-3, 0.01 + 0.1])
+    assert len(rows.read(tmp_path)) == 6
+    died = [{"breaks": 1e9}, {"breaks": 0.5}]
+    (line,) = stability.survey(replace(this, cases=died), tmp_path)
+    assert line.points[0].cause == "fracture" and line.boundary == this.safe, "a run that dies is worse than any error"
+
+
+def test_one_place_on_the_axis_may_set_several_knobs(worker: None, tmp_path: Path) -> None:
+    this = Map("made_up", "", "cook", "u", (Variant("fem", "fem"),), "n", "cells", 4, 16, 1.0,
+               value=lambda x: {"n": round(x), "locks": 1 / x}, coarse=2, bisections=0)  # fmt: skip
+    (line,) = stability.survey(this, tmp_path)
+    assert [point.error for point in line.points] == pytest.approx([1 / 16 + 1 / 4, 1 / 256 + 1 / 16])
+
+
+def test_scales_of_maps() -> None:
+    log, linear = Scale(), Scale("linear")
+    assert log.spread(1, 100, 3) == pytest.approx([1, 10, 100]) and linear.spread(1, 5, 3) == [1, 3, 5]
+    assert log.middle(1, 100) == pytest.approx(10) and linear.middle(1, 5) == 3
+    assert log.way(1, math.e) == pytest.approx(1) and linear.way(1, 5) == 4
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_maps_name_knobs_that_exist(name: str) -> None:
+    """Knobs of the scene and of the method, as the runner would check them; an analysis has its own."""
+    this = MAPS[name]
+    labels = [variant.label for variant in this.variants]
+    assert len(set(labels)) == len(labels)
+    for variant in this.variants:
+        if not this.analysis:
+            known = set(inspect.signature(scenes.get(this.scene)).parameters)
+            known |= set(inspect.signature(methods.get(variant.method).build).parameters)
+            given = {*this.scene_knobs, *variant.knobs, *this.knobs(this.safe), *(key for case in this.cases for key in case)}
+            assert given <= known
 
 
 def test_locking_map_varies_the_volume_and_not_the_shear() -> None:
