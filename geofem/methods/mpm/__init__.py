@@ -20,7 +20,7 @@ class Mpm:
     kernels = {"": ""}
     """What the knob ``kernel`` may say -> the shape functions; the first is the default."""
     scheme = "usl"
-    small_mass = 1e-3
+    small_mass = 1e-2
 
     def refuses(self, scene: Scene) -> str | None:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
