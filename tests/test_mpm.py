@@ -255,6 +255,18 @@ def test_work_and_size() -> None:
     assert model.size()["cells"] == 64 and model.size()["dofs"] in (162, 2 * 121)
 
 
+def test_the_grid_is_a_mesh_of_dolfinx_with_the_velocity_of_the_points() -> None:
+    model = build(block(uniform(0.5, -0.25)), n=8)
+    for _ in range(2):
+        (velocity,) = model.functions()
+        values = velocity.x.array.reshape(-1, 2)
+        reached = np.linalg.norm(values, axis=1) > 0
+        assert velocity.function_space.mesh.topology.index_map(2).size_global == 40**2
+        assert reached.sum() == model.size()["dofs"] // 2 or model.work["steps"] == 0
+        assert values[reached] == pytest.approx(np.tile([0.5, -0.25], (reached.sum(), 1)), rel=1e-12)
+        model.step(model.dt())
+
+
 def test_courant_step() -> None:
     """dt = cfl h / (c + v), c^2 = (lambda + 2 mu) / rho."""
     c = np.sqrt(4e6 * 0.7 / (1.3 * 0.4) / 1000.0)

@@ -43,7 +43,7 @@ class Model(Protocol):
         """
 
     def functions(self) -> list[Any]:
-        """The present fields as dolfinx functions of one element on one mesh, for VTX files; none for particles."""
+        """The present fields as dolfinx functions of one element on one mesh, for VTX files; none where there is no mesh."""
 
     def size(self) -> dict[str, int]:
         """``dofs``, ``cells``, ``points`` over all ranks."""

@@ -7,8 +7,8 @@ from typing import Any
 
 from geofem import materials
 from geofem.methods.mpm.implicit import ImplicitMpm
+from geofem.methods.mpm.kind import SCHEMES
 from geofem.methods.mpm.model import ExplicitMpm
-from geofem.methods.mpm.passes import SCHEMES
 from geofem.mistake import Mistake, unknown
 from geofem.scene import Scene
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.contact import Contact
-from geofem.methods.mpm.passes import Kind
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.points import Body, weights_around
 from geofem.methods.mpm.seed import Seeds
 from geofem.methods.mpm.shapes import SHAPES

@@ -52,15 +52,11 @@ class Background:
         self.dof_of_node = np.full(len(grid.nodes), -1, np.int64)
         self.dof_of_node[self.node_of_dof] = np.arange(len(self.node_of_dof))
 
-    def function(self, name: str, values: Array) -> fem.Function:
-        """Values (window's nodes,) or (window's nodes, c) of the grid as a function on the mesh, for output."""
-        values = np.asarray(values, float).reshape(len(self.grid.nodes), -1)
-        c = values.shape[1]
-        space = self.space if c == 1 else fem.functionspace(self.mesh, ("Lagrange", 1, (c,)))
-        out = fem.Function(space, name=name)
-        out.x.array[:] = values[nodes_of(space, self.grid)].ravel()
-        out.x.scatter_forward()
-        return out
+    def fill(self, function: fem.Function, values: Array) -> None:
+        """Give a linear function on the mesh the values (window's nodes,) or (window's nodes, c) of the grid."""
+        values = values.reshape(len(self.grid.nodes), -1)
+        function.x.array[:] = values[nodes_of(function.function_space, self.grid)].ravel()
+        function.x.scatter_forward()
 
     def shared(self, values: Array) -> Array:
         """Sums over all ranks of what each has at a node, (window's nodes,); zero where the rank has no mesh. Collective."""

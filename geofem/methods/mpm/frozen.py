@@ -25,7 +25,8 @@ from geofem.methods.mpm import Mpm
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.deeds import inlined, putting
 from geofem.methods.mpm.grid import OPTIONS
-from geofem.methods.mpm.passes import Cloud, Kind, make_neighbours
+from geofem.methods.mpm.kind import Cloud, Kind
+from geofem.methods.mpm.parts import make_neighbours
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.scene import Array
 

@@ -18,8 +18,9 @@ from geofem.methods.mpm import answers, parallel, setting
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.background import Background
 from geofem.methods.mpm.contact import Contact
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.limits import Limits
-from geofem.methods.mpm.passes import Kind, carry_corners
+from geofem.methods.mpm.parts import carry_corners
 from geofem.methods.mpm.press import Press
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.methods.mpm.system import System

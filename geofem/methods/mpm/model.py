@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
 
 from geofem import materials
 from geofem.cost import phase
-from geofem.methods.mpm import answers, parallel, passes, setting
+from geofem.methods.mpm import answers, parallel, setting
 from geofem.methods.mpm import grid as g
-from geofem.methods.mpm.conditions import Held, Walls, hold, set_velocity, stop
+from geofem.methods.mpm.background import Background
+from geofem.methods.mpm.conditions import Held, Walls
 from geofem.methods.mpm.contact import Contact
-from geofem.methods.mpm.deeds import ALL, FORCES, START, VELOCITY
-from geofem.methods.mpm.passes import Kind, carry_corners
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.shapes import SHAPES
+from geofem.methods.mpm.stepper import Stepper
 from geofem.methods.mpm.timestep import NodalStep
 from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
@@ -43,8 +44,6 @@ PATIENCE = 400
 """A load step that has not come to rest after so many passages of a wave through the body has failed."""
 TOO_FAST = 10.0
 """A speed of so many times that of a wave and the largest at the start together is no motion, but a step that is too long."""
-PARTNERS = 4096
-"""Nodes of small mass that can be joined to a neighbour in one step."""
 
 
 class ExplicitMpm:
@@ -62,10 +61,9 @@ class ExplicitMpm:
         self.t = self._now = 0.0
         self._target, self._time, self._calm = 0.0, 0.0, -1.0  # of the load that is being raised: calm >= 0
         self.work = {"steps": 0, "newton": 0, "linear": 0, "point_steps": 0, "remeshes": 0}
-        self.flip, self.order, self.scheme, self.cfl, self.damping = flip, order, scheme, cfl, damping
+        self.cfl, self.order = cfl, order
         self.load_steps, self.passages, self.tolerance, self.sort_after = load_steps, passages, tolerance, sort_after
-        self.h, self.threads = scene.length / n, threads
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self.h = scene.length / n
 
         axial, dim = scene.plane == "axisymmetric", scene.gdim
         loaded = bool(scene.rigids) or any(load.kind == "body" for load in scene.loads)
@@ -82,8 +80,10 @@ class ExplicitMpm:
         self.passage = float(np.linalg.norm(high - low)) / self.wave_speed
         mass = sum(float(body.own("mass").sum()) for body in self.bodies)
         self.point_mass = mass / sum(body.n for body in self.bodies)
-        self.least_mass, self.small_mass = LEAST_MASS * self.point_mass, small_mass * self.point_mass
-        self._partner, self._lent = np.zeros((PARTNERS, 2), np.int64), np.zeros(PARTNERS)
+        self.stepper = Stepper(
+            self.grid, self.bodies, self.kind, flip=flip, order=order, damping=damping, least_mass=LEAST_MASS * self.point_mass,
+            small_mass=small_mass * self.point_mass, threads=threads,
+        )  # fmt: skip
         self.balance = answers.Balance(self.bodies, mass, spent, scheme == "usf")
         self.splitter = Splitter(self.kind, self.shape, split)
         self.watch = Watch(scene, self.shape)
@@ -94,11 +94,9 @@ class ExplicitMpm:
         self._fastest = self._largest_speed()
         self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))
         self._unbalance = self._reactions = self._last_dt = 0.0
-        self._ratio = 1.0  # see grid.accelerate
-        self._faulty: list[tuple[Any, ...]] = [()] * threads  # body, fault and point of each thread's first fault in a step
         self._places = answers.Places(scene, seeds, self.comm)
         self._divide()
-        self._compile_passes()
+        self.stepper.compile()
 
     def _started(self, seeds: list[Any]) -> None:
         """Initial velocities of the points, and with apic their gradients (by differences)."""
@@ -147,26 +145,20 @@ class ExplicitMpm:
         """The nodes' arrays of the window that ends before the row ``last``, and the conditions on them."""
         per_row = int(np.prod(self.grid.shape[1:]))
         count = (last - self.grid.first) * per_row
-        columns = g.COLUMNS[self.grid.dim]
-        self.grid.nodes = np.zeros((count, columns))
-        self._nodes = [self.grid.nodes, *(np.zeros((count, columns)) for _ in range(self.threads - 1))]
-        self._cell_sums = [np.zeros((count if self.kind.cure else 0, 3)) for _ in range(self.threads)]
-        self._scratch = np.zeros((self.threads, passes.SCRATCH))
-        self._sums, self._marks = np.zeros((self.threads, g.SUMS)), np.zeros((self.threads, g.MARKS), np.int64)
+        self.stepper.lay_out(count)
         coordinates = g.on_edges(self.grid.coordinates(), self._bounds, self.h)
         row = self.grid.first + np.arange(count) // per_row
         mine = (row >= self.grid.own[0]) & (row < self.grid.own[1])
-        self.held, self.walls = Held(self.scene, coordinates, mine), Walls(self.scene, coordinates, mine)
-        self._box = (0, 0, 0, 0, 0, 0)
+        self.stepper.held, self.stepper.walls = Held(self.scene, coordinates, mine), Walls(self.scene, coordinates, mine)
 
     def _halo(self) -> int:
         """Cells around a slab whose points can bear on its points within a step.
 
         A point hears from nodes within its reach, and these from points within theirs; each stage of a step widens this once.
         """
-        stages = 1 + (self.scheme != "usl") + (self.order - 1 if self.kind.transfer == "xpic" else 0)
+        stages = 1 + (self.kind.scheme != "usl") + (self.order - 1 if self.kind.transfer == "xpic" else 0)
         reach = 1 + math.ceil(self._extent() if self.shape.spread else self.shape.reach)
-        return stages * (2 * reach + 1) + (2 if self.kind.cure else 0) + (2 if self.small_mass > 0 else 0) + 1
+        return stages * (2 * reach + 1) + (2 if self.kind.cure else 0) + (2 if self.stepper.small_mass > 0 else 0) + 1
 
     def _extent(self) -> float:
         """Half the largest extent of a domain (cells) on any rank."""
@@ -182,7 +174,7 @@ class ExplicitMpm:
                     self._lay_out(last)
                 for body in self.bodies:
                     parallel.exchange(body, setting.rows_of(body, self.grid), self.slabs)
-        self._cuts = [np.linspace(0, body.N, self.threads + 1).astype(int) for body in self.bodies]
+        self.stepper.share_points()
 
     # --- steps --------------------------------------------------------------------------------------------------------
     def dt(self) -> float:
@@ -245,35 +237,6 @@ class ExplicitMpm:
                     "newton", f"no rest under the load of t = {self._target:.4g}: kinetic energy {self.balance.kinetic:.3g} J"
                 )
 
-    def _each(self, work: Callable[[int], None]) -> None:
-        """Do the work of every thread: work(thread)."""
-        if self._pool is None:
-            work(0)
-        else:
-            list(self._pool.map(work, range(self.threads)))
-
-    def _over_points(self, work: Callable[..., None]) -> None:
-        """work(thread, body, its number, first point, end) for the share of every body's points that each thread has."""
-
-        def share(thread: int) -> None:
-            for k, (body, cut) in enumerate(zip(self.bodies, self._cuts)):
-                if cut[thread] < cut[thread + 1]:
-                    work(thread, body, k, int(cut[thread]), int(cut[thread + 1]))
-                    if self._marks[thread, g.FAULT] and not self._faulty[thread]:
-                        self._faulty[thread] = (body, *self._marks[thread, [g.FAULT, g.POINT]].tolist())
-
-        self._each(share)
-
-    def _over_nodes(self, work: Callable[..., None]) -> None:
-        """work(thread, box) for the share of the reached nodes that each thread has."""
-        i0, i1, *rest = self._box
-
-        def share(thread: int) -> None:
-            cut = [i0 + (i1 - i0) * k // self.threads for k in (thread, thread + 1)]
-            work(thread, (*cut, *rest))
-
-        self._each(share)
-
     def _advance(self, dt: float, t1: float) -> None:
         """One explicit step of dt (s) that ends at the scene's time t1.
 
@@ -281,24 +244,10 @@ class ExplicitMpm:
         first for half a step: second order in time for steps of any length.
         """
         if self.scene.dynamic:
-            self._ratio = 0.5 * (1.0 + self._last_dt / dt)
+            self.stepper.ratio = 0.5 * (1.0 + self._last_dt / dt)
         gravity = self._loads(dt, t1)
-        self._last_dt = dt
-        self._sums[:] = 0.0
-        self._marks[:] = 0
-        self._faulty = [()] * self.threads
-        self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
-        rows = self.grid.rows
-        self._over_nodes(lambda thread, box: g.clear(self.grid.nodes, box, rows))
-        self._scatter(START if self.scheme == "usf" else ALL)
-        if not self._marks[:, g.FAULT].any():
-            if self.scheme == "usf":
-                self._to_velocity(VELOCITY, 1 + 2 * self.grid.dim)
-                set_velocity(self.grid.nodes, 1 + 2 * self.grid.dim, self.held.arrays, self.walls.arrays, self.grid.dim)
-                self._strain(dt)
-                self._scatter(FORCES)
-            self._move(dt, gravity)
-        self._now = t1
+        self.stepper.step(dt, gravity)
+        self._last_dt, self._now = dt, t1
         self._account(dt)
 
     def _loads(self, dt: float, t1: float) -> tuple[float, float, float]:
@@ -307,7 +256,7 @@ class ExplicitMpm:
         gravity = np.zeros(3)
         for load in self._gravity:
             gravity[: scene.gdim] += scene.amplitude(load, now) * np.array(load.value)
-        self.held.follow(now, t1, dt)
+        self.stepper.held.follow(now, t1, dt)
         if scene.weakening is not None:
             for body, region in zip(self.bodies, scene.regions):
                 body.par[:] = body.law.parameters(region.material, scene.weakening(now))
@@ -324,144 +273,15 @@ class ExplicitMpm:
                     force += scene.amplitude(load, now) * body.arrays["mass"][: body.N, None] * value
                 for contact in self._contacts:
                     contact.force += contact.touch(body, region.material.density * speed**2 / self.h, self.h, dt)
-                self._impulse[: scene.gdim] += self._ratio * dt * force[: body.n].sum(axis=0)
+                self._impulse[: scene.gdim] += self.stepper.ratio * dt * force[: body.n].sum(axis=0)
         return float(gravity[0]), float(gravity[1]), float(gravity[2])
-
-    def _scatter(self, what: str) -> None:
-        """Points to the grid."""
-        kind, lattice = self.kind, self.grid.lattice
-        if kind.cure and what != START:
-            self._sum_cells(passes.make_pressures(kind), (0, 1))
-        scatter = passes.make_scatter(kind, what)
-        self._over_points(
-            lambda t, body, k, lo, hi: scatter(body.cloud, lo, hi, self._nodes[t], lattice, self._cell_sums[0], self._marks[t])
-        )
-        if what != FORCES:
-            self._marks[0, g.BOX : g.BOX + 6 : 2] = self._marks[:, g.BOX : g.BOX + 6 : 2].min(axis=0)
-            self._marks[0, g.BOX + 1 : g.BOX + 6 : 2] = self._marks[:, g.BOX + 1 : g.BOX + 6 : 2].max(axis=0)
-            self._box = self.grid.box(self._marks[0]) if any(body.N for body in self.bodies) else (0,) * 6
-        self._join(0, 1 + 2 * self.grid.dim)
-
-    def _join(self, first: int, end: int) -> None:
-        """Add what the other threads put into their own grids."""
-        if self.threads > 1:
-            rows = self.grid.rows
-
-            def add(thread: int, box: tuple[int, ...]) -> None:
-                for others in self._nodes[1:]:
-                    g.add_grid(self.grid.nodes, others, box, rows, first, end)
-
-            self._over_nodes(add)
-
-    def _sum_cells(self, sums: Callable[..., None], columns: tuple[int, ...], *more: Any) -> None:
-        """Cell sums of the volumetric cure, of all threads."""
-        lattice = self.grid.lattice
-        for cells in self._cell_sums:
-            cells[:, columns] = 0.0
-        self._over_points(lambda t, body, k, lo, hi: sums(body.cloud, lo, hi, *more, lattice, self._cell_sums[t]))
-        for cells in self._cell_sums[1:]:
-            self._cell_sums[0][:, columns] += cells[:, columns]
-
-    def _to_velocity(self, momentum: int, velocity: int) -> None:
-        dim, rows = self.grid.dim, self.grid.rows
-        self._over_nodes(lambda t, box: g.to_velocity(self.grid.nodes, momentum, velocity, dim, box, rows, self.least_mass))
-
-    def _move(self, dt: float, gravity: tuple[float, float, float]) -> None:
-        """The momentum balance on the nodes, and what the points make of it."""
-        grid, kind, dim, rows = self.grid, self.kind, self.grid.dim, self.grid.rows
-        nodes, held, walls, lattice = grid.nodes, self.held.arrays, self.walls.arrays, grid.lattice
-        if kind.transfer == "xpic":
-            self._without_noise()
-        joined = 0
-        if self.small_mass > 0.0:
-            joined = g.merge_small(nodes, dim, self._box, rows, self.small_mass, self._partner, self._lent)
-        self._over_nodes(
-            lambda t, box: g.accelerate(
-                nodes, dim, box, rows, grid.own, self.least_mass, dt, self._ratio, gravity, self.damping, self._sums[t]
-            )
-        )
-        g.part_again(nodes, dim, self._partner, self._lent, joined)
-        hold(nodes, dim, held, self.least_mass, dt, self._ratio, gravity, self.damping, self._sums[0])
-        stop(nodes, dim, walls, self.least_mass, dt, self._ratio, gravity, self._sums[0])
-
-        fused = self.scheme == "usl" and not kind.cure
-        W = 1 + 2 * dim
-        if self.scheme == "musl" and kind.transfer == "xpic":
-            self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
-        advance = [passes.make_advance(kind, body.answer if fused else None) for body in self.bodies]
-        self._over_points(
-            lambda t, body, k, lo, hi: advance[k](
-                body.cloud, lo, hi, body.n, nodes, self._nodes[t], lattice, body.par, dt, self.flip, self.h,
-                self._scratch[t], self._sums[t], self._marks[t],
-            )
-        )  # fmt: skip
-        if self.scheme == "musl":
-            self._join(W, W + dim)
-            self._to_velocity(W, W)
-            set_velocity(nodes, W, held, walls, dim)
-        if not fused and self.scheme != "usf":
-            self._strain(dt)
-        if self.shape.domain == "corners" and not kind.small:
-            self._over_points(
-                lambda t, body, k, lo, hi: carry_corners(body.arrays["domain"], lo, hi, nodes, lattice, dt, self._marks[t])
-            )
-
-    def _strain(self, dt: float) -> None:
-        """Strains and stresses from the velocities on the grid."""
-        kind, lattice, nodes = self.kind, self.grid.lattice, self.grid.nodes
-        if kind.cure:
-            if self.scheme == "usf":
-                self._sum_cells(passes.make_pressures(kind), (0, 1))
-            dilate = passes.make_dilate(kind)
-            self._sum_cells(lambda q, lo, hi, lat, cells: dilate(q, lo, hi, nodes, lat, cells, dt), (2,))
-        strain = [passes.make_strain(kind, body.answer) for body in self.bodies]
-        self._over_points(
-            lambda t, body, k, lo, hi: strain[k](
-                body.cloud,
-                lo,
-                hi,
-                body.n,
-                nodes,
-                lattice,
-                self._cell_sums[0],
-                body.par,
-                dt,
-                self._scratch[t],
-                self._sums[t],
-                self._marks[t],
-            )
-        )
-
-    def _without_noise(self) -> None:
-        """XPIC: the points' velocities without what the grid does not see, (I - (I - P)^m) v with P = S S^+ (Hammerquist & Nairn
-        2017, eq. 19); they are kept in ``C``."""
-        dim, lattice, nodes = self.grid.dim, self.grid.lattice, self.grid.nodes
-        W, rows = 1 + 2 * dim, self.grid.rows
-        hear, tell = passes.make_hear(self.kind, W), passes.make_tell(self.kind)
-        self._to_velocity(VELOCITY, W)
-        for body in self.bodies:
-            body.arrays["C"][: body.N] = 0.0
-        heard = [np.empty((body.N, dim)) for body in self.bodies]
-        for r in range(1, self.order + 1):
-            self._over_points(lambda t, body, k, lo, hi: hear(body.cloud, lo, hi, nodes, lattice, heard[k]))
-            share = (-1) ** (r + 1) * math.comb(self.order, r)
-            for body, out in zip(self.bodies, heard):
-                body.arrays["C"][: body.N] += share * out
-            if r < self.order:
-                self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
-                self._over_points(
-                    lambda t, body, k, lo, hi: tell(body.cloud._replace(v=heard[k]), lo, hi, self._nodes[t], lattice)
-                )
-                self._join(W, W + dim)
-                self._to_velocity(W, W)
 
     # --- after a step -------------------------------------------------------------------------------------------------
     def _account(self, dt: float) -> None:
         """Carry the balances on, look for faults, hand points over, and sort them when they have strayed. Collective."""
-        sums = self._sums.sum(axis=0)
-        sums[g.SPEED2] = self._sums[:, g.SPEED2].max()
+        sums = self.stepper.sums()
         sums[g.IMPULSE : g.IMPULSE + 3] += self._impulse
-        fault = self._fault()
+        fault = self.stepper.fault(self._now)
         if self.comm.size > 1:
             with phase("exchange"):
                 told = self.comm.allgather((sums, fault))
@@ -505,55 +325,12 @@ class ExplicitMpm:
         self.splitter.total = self.comm.allreduce(sum(body.n for body in self.bodies))
         return self.splitter.total
 
-    def _fault(self) -> tuple[str, str] | None:
-        """Cause and words of a fault in this rank's own points."""
-        for faulty in self._faulty:
-            if faulty:
-                body, fault, point = faulty
-                X, x = (body.arrays[name][point] for name in ("X", "x"))
-                place = f"the material point of ({', '.join(f'{v:.4g}' for v in X)}) m, now at ({', '.join(f'{v:.4g}' for v in x)}) m,"
-                if fault == g.ESCAPED:
-                    return "volume", f"{place} left the background grid at t = {self._now:.4g}"
-                if fault == g.FOLDED:
-                    return "tangle", f"the domain of {place} is no longer convex at t = {self._now:.4g}"
-                return "tangle", f"{place} is turned inside out (det F <= 0) at t = {self._now:.4g}"
-        return None
-
-    def _compile_passes(self) -> None:
-        """Run the passes over no points, so that their compilation belongs to the set-up."""
-        cuts, box = self._cuts, self._box
-        saved = {name: getattr(self.balance, name) for name in ("kinetic", "internal", "external")}
-        self._cuts = [np.zeros(self.threads + 1, int) for _ in self.bodies]
-        self._impulse = np.zeros(3)
-        empty = [(body, body.N) for body in self.bodies]
-        passes_of = (START, FORCES) if self.scheme == "usf" else (ALL,)
-        for body, _ in empty:
-            for what in passes_of:
-                passes.make_scatter(self.kind, what)(
-                    body.cloud, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], self._marks[0]
-                )
-        self._box = (0,) * 6
-        fused = self.scheme == "usl" and not self.kind.cure
-        for body in self.bodies:
-            passes.make_advance(self.kind, body.answer if fused else None)(
-                body.cloud, 0, 0, 0, self.grid.nodes, self.grid.nodes, self.grid.lattice, body.par, 1.0, self.flip, self.h,
-                self._scratch[0], self._sums[0], self._marks[0],
-            )  # fmt: skip
-            if not fused:
-                passes.make_strain(self.kind, body.answer)(
-                    body.cloud, 0, 0, 0, self.grid.nodes, self.grid.lattice, self._cell_sums[0], body.par, 1.0,
-                    self._scratch[0], self._sums[0], self._marks[0],
-                )  # fmt: skip
-        self._cuts, self._box = cuts, box
-        for name, value in saved.items():
-            setattr(self.balance, name, value)
-
     # --- what the model tells -----------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
         """The value of a probe now. Collective."""
         if probe.quantity == "reaction":
             assert probe.of is not None
-            own = self.held.reaction(probe.of, probe.component) + self.walls.reaction(probe.of, probe.component)
+            own = self.stepper.held.reaction(probe.of, probe.component) + self.stepper.walls.reaction(probe.of, probe.component)
             own += sum(float(c.force[probe.component]) for c in self._contacts if c.rigid.name == probe.of)
             return self.comm.allreduce(own)
         return self._places.probe(probe, self.bodies, self.t)
@@ -561,19 +338,28 @@ class ExplicitMpm:
     def energy(self) -> dict[str, float]:
         """Kinetic energy of the points, stored energy or else work of the stresses, and work of loads and supports since t = 0 (J per
         metre), at one instant. Collective."""
-        balance, dim, grid = self.balance, self.grid.dim, self.grid
+        balance = self.balance
         if balance.spent:
             return balance.energy()
         # the change of the nodes' kinetic energy in the last step is the work done on them, less that which the stresses took
-        gained = g.gained(grid.nodes, dim, self._box, grid.rows, grid.own, self._last_dt) / self._ratio
-        return balance.energy(balance.stored(self.bodies, self.comm), balance.last[2] - self.comm.allreduce(gained))
+        gained = self.comm.allreduce(self.stepper.gained(self._last_dt))
+        return balance.energy(balance.stored(self.bodies, self.comm), balance.last[2] - gained)
 
     def checks(self) -> dict[str, float | None]:
         """Drift of the mass, the momentum that no force accounts for against the largest there has been, and drift of the volume."""
         return self.balance.checks(self.bodies, self.comm)
 
-    def functions(self) -> list[Any]:
-        return []
+    def functions(self) -> list[fem.Function]:
+        """The velocity that the points give the background grid."""
+        mesh, velocity = self._grid_mesh
+        mesh.fill(velocity, self.stepper.velocity())
+        return [velocity]
+
+    @cached_property
+    def _grid_mesh(self) -> tuple[Background, fem.Function]:
+        mesh = Background(self.grid, self.slabs, self.comm)
+        space = fem.functionspace(mesh.mesh, ("Lagrange", 1, (self.grid.dim,)))
+        return mesh, fem.Function(space, name="velocity")
 
     def snapshot(self) -> dict[str, Any]:
         """Points where they are now, in the order of their numbers, region after region; on rank 0."""
@@ -602,7 +388,7 @@ class ExplicitMpm:
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
             "last": np.array(
-                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, self._last_dt, self._ratio]
+                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, self._last_dt, self.stepper.ratio]
                 + [*self.splitter.state(), *self.watch.state()]
             ),  # fmt: skip
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
@@ -614,7 +400,7 @@ class ExplicitMpm:
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
         self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, *last = state["last"].tolist()
-        self._last_dt, self._ratio, split, *watch = last
+        self._last_dt, self.stepper.ratio, split, *watch = last
         self.splitter.restore(split)
         self.watch.restore(*watch)
         self.work["steps"], self.work["point_steps"] = state["work"].tolist()

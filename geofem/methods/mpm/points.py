@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from geofem import materials
-from geofem.methods.mpm.passes import Answer, Cloud
+from geofem.methods.mpm.kind import Answer, Cloud
 from geofem.methods.mpm.seed import Seeds
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.mistake import Breakdown

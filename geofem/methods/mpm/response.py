@@ -6,7 +6,7 @@ import numpy as np
 
 from geofem.core.state import compose, tensors
 from geofem.methods.mpm import tangent
-from geofem.methods.mpm.passes import Kind
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.points import Body
 from geofem.methods.mpm.table import Groups
 from geofem.scene import Array

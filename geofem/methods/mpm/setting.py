@@ -8,7 +8,7 @@ from mpi4py import MPI
 from geofem import materials
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm import parallel
-from geofem.methods.mpm.passes import Kind
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.points import KEPT, Body
 from geofem.methods.mpm.seed import Seeds, fill_all
 from geofem.methods.mpm.shapes import SHAPES

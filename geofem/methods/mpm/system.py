@@ -17,8 +17,8 @@ from geofem.cost import phase
 from geofem.methods.mpm import ghost, tangent
 from geofem.methods.mpm.background import Background, nodes_of
 from geofem.methods.mpm.grid import OPTIONS
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.nullspace import Watched
-from geofem.methods.mpm.passes import Kind
 from geofem.methods.mpm.points import Body
 from geofem.methods.mpm.response import Response
 from geofem.methods.mpm.table import group, tabulate

@@ -15,7 +15,7 @@ from numba.extending import register_jitable
 from geofem.materials.kinematics import FLAGS
 from geofem.methods.mpm.deeds import inlined, putting
 from geofem.methods.mpm.grid import OPTIONS
-from geofem.methods.mpm.passes import Kind
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.scene import Array
 

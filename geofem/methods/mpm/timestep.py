@@ -29,7 +29,7 @@ from numba import njit
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.deeds import MASS, inlined, putting
 from geofem.methods.mpm.grid import OPTIONS
-from geofem.methods.mpm.passes import Kind
+from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.shapes import SHAPES
 
 EVERY = 4
@@ -65,14 +65,14 @@ class NodalStep:
             seen[:] = -1
             rows(body.cloud, body.N, speed / grid.h, grid.lattice, nodes, gradients, seen, near)
         dim, per_row = grid.dim, int(np.prod(grid.shape[1:]))
-        if model.small_mass > 0.0:
+        if model.stepper.small_mass > 0.0:
             end = grid.first + len(nodes) // per_row
             box = (grid.first, end, 0, 1 if dim == 2 else grid.shape[1], 0, grid.shape[-1])
-            partner, lent = np.zeros_like(model._partner), np.zeros_like(model._lent)
-            g.merge_small(nodes, dim, box, grid.rows, model.small_mass, partner, lent)
+            partner, lent = np.zeros_like(model.stepper.partner), np.zeros_like(model.stepper.lent)
+            g.merge_small(nodes, dim, box, grid.rows, model.stepper.small_mass, partner, lent)
         low, high = (row * per_row - grid.first * per_row for row in grid.own)
         mass, row_sum = nodes[max(low, 0) : high, MASS], nodes[max(low, 0) : high, ROW_SUM]
-        there = mass > model.least_mass
+        there = mass > model.stepper.least_mass
         largest = float(np.max(row_sum[there] / mass[there], initial=0.0))
         return math.sqrt(model.comm.allreduce(largest, op=MPI.MAX))
 

@@ -10,7 +10,8 @@ from mpi4py import MPI
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geofem.methods.mpm.passes import Kind, make_neighbours
+from geofem.methods.mpm.kind import Kind
+from geofem.methods.mpm.parts import make_neighbours
 from geofem.methods.mpm.points import SHIFT, Body
 from geofem.methods.mpm.shapes import Shape
 from geofem.mistake import Breakdown
