@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from geofem import scenes
 from geofem.methods.mpm import BsplineMpm, Cpdi2Mpm, CpdiMpm, GimpMpm, LinearMpm
 from geofem.methods.mpm.model import ExplicitMpm
 from geofem.scene import Box, Load, Material, Probe, Region, Scene, Support
@@ -21,9 +23,15 @@ FAMILY = {
     "bspline3": (BsplineMpm, "cubic"),
 }
 SOFT = Material("neo_hooke", 1000.0, {"E": 4e6, "nu": 0.3})
+TIP = Probe("tip", "displacement", (4.0, 0.5), 1)
 NOTHING = Load("body", lambda x, t: 0.0 * x)
 """A force per mass of zero: scenes with loads on the points and without share their compiled kernels then."""
-TIP = Probe("tip", "displacement", (4.0, 0.5), 1)
+
+
+def loaded(name: str, **knobs: Any) -> Scene:
+    """A scene of geofem with a force of zero on its points, for the same reason."""
+    scene = scenes.get(name)(**knobs)
+    return replace(scene, loads=(*scene.loads, NOTHING))
 
 
 def build(scene: Scene, shape: str = "hat", **knobs: Any) -> ExplicitMpm:

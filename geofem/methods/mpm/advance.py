@@ -12,7 +12,7 @@ from numba import njit
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.cure import make_increment
 from geofem.methods.mpm.deeds import AGAIN, inlined, make_get_gradient, make_get_motion, make_put
-from geofem.methods.mpm.kind import OPTIONS, Answer, Kind
+from geofem.methods.mpm.kind import OPTIONS, TINY, Answer, Kind
 from geofem.methods.mpm.scatter import make_cell, make_packs
 from geofem.methods.mpm.shapes import SHAPES
 
@@ -43,13 +43,14 @@ def make_move(kind: Kind) -> Callable[..., Any]:
             square += v * v
         if apic:
             if dim == 2:
-                a, b, d = got[D] + TINY, got[D + 1], got[D + 2] + TINY
+                a, b, d = max(got[D], TINY), got[D + 1], max(got[D + 2], TINY)
                 scale = 1.0 / ((a * d - b * b) * h)
                 for c in range(2):
                     u, w = got[B + 2 * c], got[B + 2 * c + 1]
                     q.C[p, 2 * c], q.C[p, 2 * c + 1] = scale * (u * d - w * b), scale * (w * a - u * b)
             else:
-                a, b, c, d, e, f = got[D] + TINY, got[D + 1], got[D + 2], got[D + 3] + TINY, got[D + 4], got[D + 5] + TINY
+                a, b, c = max(got[D], TINY), got[D + 1], got[D + 2]
+                d, e, f = max(got[D + 3], TINY), got[D + 4], max(got[D + 5], TINY)
                 i0, i1, i2 = d * f - e * e, c * e - b * f, b * e - c * d
                 scale = 1.0 / ((a * i0 + b * i1 + c * i2) * h)
                 i3, i4, i5 = a * f - c * c, b * c - a * e, a * d - b * b
@@ -61,10 +62,6 @@ def make_move(kind: Kind) -> Callable[..., Any]:
         return work, m * square, square
 
     return move
-
-
-TINY = 1e-14
-"""Added to the second moments (cells squared) of a point that sits on a node, whose hat tells nothing of the gradient."""
 
 
 @cache

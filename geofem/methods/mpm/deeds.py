@@ -315,3 +315,31 @@ def make_get_gradient(dim: int, first: int) -> Deed:
         )  # fmt: skip
 
     return getting((0.0,) * 3, read_solid, take_solid)
+
+
+@cache
+def make_get_spread(dim: int) -> Deed:
+    """Second moments D = sum w d d^T of the weights about a place. acc in the plane: place in cells (2), xx, xy, yy."""
+
+    @inlined
+    def read(nodes, n, f, values):  # type: ignore[no-untyped-def]
+        return values
+
+    if dim == 2:
+
+        @inlined
+        def take(values, w, gx, gy, gz, x, y, z, acc):  # type: ignore[no-untyped-def]
+            sx, sy, xx, xy, yy = acc
+            dx, dy = x - sx, y - sy
+            return sx, sy, xx + w * dx * dx, xy + w * dx * dy, yy + w * dy * dy
+
+    else:
+
+        @inlined
+        def take(values, w, gx, gy, gz, x, y, z, acc):  # type: ignore[no-untyped-def]
+            sx, sy, sz, xx, xy, xz, yy, yz, zz = acc
+            dx, dy, dz = x - sx, y - sy, z - sz
+            wx, wy = w * dx, w * dy
+            return sx, sy, sz, xx + wx * dx, xy + wx * dy, xz + wx * dz, yy + wy * dy, yz + wy * dz, zz + w * dz * dz
+
+    return getting((0.0,), read, take, nodal=True)

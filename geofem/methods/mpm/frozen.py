@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -121,12 +122,17 @@ def bar(shape: str, ppc: int, stretch: float, offset: float, cells: int = 8) -> 
     """Lumped masses (n,) and stiffness (n, n) of the nodes that a row of ``cells * ppc`` points reaches."""
     at = MARGIN + offset + stretch * (np.arange(cells * ppc) + 0.5) / ppc
     row = make_row(shape, at, stretch, ppc)
-    count = int(at[-1] + stretch) + MARGIN
-    out = np.zeros((len(at), count * ROWS, 2))
-    make_weights(make_kind(shape))(row, len(at), lattice(count), out)
-    S, gradient = np.moveaxis(out.reshape(len(at), count, ROWS, 2).sum(axis=2), 2, 0)
-    mass, stiffness = row.mass @ S, stretch / ppc * gradient.T @ gradient
-    there = mass > ROUNDING / ppc
+    return assemble(make_kind(shape), row, lattice(int(at[-1] + stretch) + MARGIN), stretch * row.volume)
+
+
+def assemble(kind: Kind, row: Cloud, lattice: tuple[Any, ...], volume: Array) -> tuple[Array, Array]:
+    """Lumped masses (n,) and stiffness (n, n) along x of points whose present volumes are ``volume`` (N,), all nodes across as one."""
+    N, columns, across = len(row.mass), lattice[4], lattice[5]
+    out = np.zeros((N, columns * across, 2))
+    make_weights(kind)(row, N, lattice, out)
+    S, gradient = np.moveaxis(out.reshape(N, columns, across, 2).sum(axis=2), 2, 0)
+    mass, stiffness = row.mass @ S, gradient.T @ (volume[:, None] * gradient)
+    there = mass > ROUNDING * row.mass.mean()
     return mass[there], stiffness[np.ix_(there, there)]
 
 

@@ -16,6 +16,8 @@ Array = np.ndarray
 OPTIONS = {**GRID_OPTIONS, "_nrt": False}
 SCRATCH = 64
 """Numbers of scratch that a pass needs."""
+TINY = 1e-14
+"""The least second moment of a point's weights (cells squared): the hats of one that sits on a node tell nothing of a gradient."""
 SCHEMES = ("usl", "musl", "usf")
 
 

@@ -76,7 +76,7 @@ class ExplicitMpm:
         self._started(seeds)
         self.wave_speed = max(self._speeds)
         low, high = g.bodies(scene, bounds)
-        self._sound = self._speed_of_waves()
+        self._sounds = self._speeds_of_waves()
         self.passage = float(np.linalg.norm(high - low)) / self.wave_speed
         mass = sum(float(body.own("mass").sum()) for body in self.bodies)
         self.point_mass = mass / sum(body.n for body in self.bodies)
@@ -118,13 +118,13 @@ class ExplicitMpm:
     def _speeds(self) -> list[float]:
         return [body.law.wave_speed(body.par, region.material.density) for body, region in zip(self.bodies, self.scene.regions)]
 
-    def _speed_of_waves(self) -> float:
-        """The largest speed of compression waves in the bodies as they are now (m/s). Collective."""
-        speeds = [0.0]
-        for body, region in zip(self.bodies, self.scene.regions):
+    def _speeds_of_waves(self) -> list[float]:
+        """The largest speed of compression waves in each body as it is now (m/s). Collective."""
+        speeds = np.array(self._speeds)
+        for k, (body, region) in enumerate(zip(self.bodies, self.scene.regions)):
             if not self.kind.small and body.law.stretched_speed is not None and body.n:
-                speeds.append(body.law.stretched_speed(body.own("F"), body.par, region.material.density))
-        return max(max(self._speeds), self.comm.allreduce(max(speeds), op=MPI.MAX))
+                speeds[k] = max(speeds[k], body.law.stretched_speed(body.own("F"), body.par, region.material.density))
+        return self.comm.allreduce(speeds, op=MPI.MAX).tolist() if self.comm.size > 1 else speeds.tolist()
 
     def _weakening(self, t: float) -> float:
         return self.scene.weakening(t) if self.scene.weakening is not None else 1.0
@@ -200,7 +200,7 @@ class ExplicitMpm:
             self._relax(dt)
 
     def _courant(self) -> float:
-        wave = self._sound if self._nodal is None else 0.5 * self.h * self._nodal.frequency(self)
+        wave = max(self._sounds) if self._nodal is None else 0.5 * self.h * self._nodal.frequency(self)
         return self.cfl * self.h / (wave + math.sqrt(self._fastest))
 
     def _push(self, dt: float) -> None:
@@ -301,7 +301,7 @@ class ExplicitMpm:
         for body in self.bodies:
             body.settle()
         if self.work["steps"] % SOUND == 0:
-            self._sound = self._speed_of_waves()
+            self._sounds = self._speeds_of_waves()
         moved = math.sqrt(self._fastest) * dt / self.h
         changed = self.splitter.check(self.bodies, self.h, moved, self.comm)
         self._strayed += dt * math.sqrt(2.0 * self.balance.kinetic / self.balance.mass) / self.h
@@ -388,9 +388,10 @@ class ExplicitMpm:
             "clock": np.array([self.t, self._now, self._target, self._time, self._calm]),
             "balance": self.balance.state(),
             "last": np.array(
-                [self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, self._last_dt, self.stepper.ratio]
+                [self._fastest, self._unbalance, self._reactions, self._strayed, self._last_dt, self.stepper.ratio]
                 + [*self.splitter.state(), *self.watch.state()]
             ),  # fmt: skip
+            "sounds": np.array(self._sounds),
             "work": np.array([self.work["steps"], self.work["point_steps"]]),
         }
 
@@ -399,7 +400,8 @@ class ExplicitMpm:
         setting.scatter(state, self.bodies, self.grid, self.slabs)
         self.t, self._now, self._target, self._time, self._calm = state["clock"].tolist()
         self.balance.restore(state["balance"])
-        self._fastest, self._unbalance, self._reactions, self._strayed, self._sound, *last = state["last"].tolist()
+        self._fastest, self._unbalance, self._reactions, self._strayed, *last = state["last"].tolist()
+        self._sounds = state["sounds"].tolist()
         self._last_dt, self.stepper.ratio, split, *watch = last
         self.splitter.restore(split)
         self.watch.restore(*watch)

@@ -14,7 +14,7 @@ from geofem.methods.mpm.shapes import SHAPES
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Material
 
-KEPT = ("X", "x", "v", "C", "F", "tau", "state", "mass", "volume", "domain", "grip", "id", "key")
+KEPT = ("X", "x", "v", "C", "spread", "F", "tau", "state", "mass", "volume", "domain", "grip", "id", "key")
 """What a point takes along to another rank and into a checkpoint."""
 NEIGHBOURS = 9
 SHIFT = 1 << 31
@@ -24,8 +24,9 @@ SHIFT = 1 << 31
 class Body:
     """One region's points on this rank: ``n`` of its own, then copies of others' points near its cells.
 
-    All arrays of ``Cloud``, and: grip (N, d rigids) friction force held by each rigid body (N); id (N,) number that a point was born with;
-    key (N,) its place in the common order of all ranks. Arrays are longer than the points they hold.
+    All arrays of ``Cloud``, and: spread (N, 3 or 6) see ``parts.make_keep_moments`` (apic only); grip (N, d rigids) friction force
+    held by each rigid body (N); id (N,) number that a point was born with; key (N,) its place in the common order of all ranks.
+    Arrays are longer than the points they hold.
     """
 
     def __init__(self, seeds: Seeds, material: Material, par: Array, kind: Any, domain: str, h: float, rigids: int):
@@ -51,6 +52,7 @@ class Body:
             "x": seeds.points.copy(),
             "v": np.zeros((N, d)),
             "C": np.zeros((N, affine)),
+            "spread": np.zeros((N, 3 * (d - 1) if kind.transfer == "apic" else 0)),
             "F": np.tile(self._identity, (N, 1)),
             "tau": np.zeros((N, m)),
             "state": np.ascontiguousarray(law.initial_state(N, m), float),

@@ -16,7 +16,7 @@ from geofem.methods.mpm.conditions import Held, Walls, hold, set_velocity, stop
 from geofem.methods.mpm.cure import make_dilate, make_pressures
 from geofem.methods.mpm.deeds import ALL, FORCES, MASS, START, VELOCITY
 from geofem.methods.mpm.kind import SCRATCH, Kind
-from geofem.methods.mpm.parts import carry_corners, make_hear, make_tell
+from geofem.methods.mpm.parts import carry_corners, make_hear, make_keep_moments, make_tell
 from geofem.methods.mpm.points import Body
 from geofem.methods.mpm.scatter import make_scatter
 from geofem.methods.mpm.shapes import SHAPES
@@ -69,6 +69,9 @@ class Stepper:
         self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
         rows, dim, scheme = self.grid.rows, self.grid.dim, self.kind.scheme
         self._over_nodes(lambda thread, box: g.clear(self.grid.nodes, box, rows))
+        if self.kind.transfer == "apic":
+            keep, lattice = make_keep_moments(self.kind), self.grid.lattice
+            self._over_points(lambda t, body, k, lo, hi: keep(body.cloud, body.arrays["spread"], lo, hi, lattice))
         self._scatter(START if scheme == "usf" else ALL)
         if self._marks[:, g.FAULT].any():
             return
@@ -132,6 +135,8 @@ class Stepper:
         fused = kind.scheme == "usl" and not kind.cure
         rest = self._scratch[0], sums, self._marks[0]
         for body in self.bodies:
+            if kind.transfer == "apic":
+                make_keep_moments(kind)(body.cloud, body.arrays["spread"], 0, 0, grid.lattice)
             for what in (START, FORCES) if kind.scheme == "usf" else (ALL,):
                 make_scatter(kind, what)(body.cloud, 0, 0, grid.nodes, grid.lattice, self._cell_sums[0], self._marks[0])
             make_advance(kind, body.answer if fused else None)(

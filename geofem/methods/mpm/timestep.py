@@ -1,7 +1,7 @@
 """A time step that knows of light nodes: the largest frequency that the points can drive the grid at, bounded node by node.
 
 The stiffness that the points lend the nodes is, against any nodal motion u, at most sum_p m_p c_p**2 |sum_n u_n (x) g_np|**2 with
-the speed c_p of compression waves; by Cauchy and Schwarz and by Gershgorin's circles
+the speed c_p of compression waves in its body as it is now; by Cauchy and Schwarz and by Gershgorin's circles
 
     omega**2  <=  max_n R_n / m_n,    R_n = sum_p m_p c_p**2 |g_np| sum_m |g_mp|,    m_n = sum_p S_np m_p.
 
@@ -61,7 +61,7 @@ class NodalStep:
         nodes = np.zeros_like(grid.nodes)
         gradients, seen, near = np.zeros((len(nodes), 3)), np.full(len(nodes), -1, np.int64), np.zeros(MOST, np.int64)
         rows = make_rows(self.kind)
-        for body, speed in zip(model.bodies, model._speeds):
+        for body, speed in zip(model.bodies, model._sounds):
             seen[:] = -1
             rows(body.cloud, body.N, speed / grid.h, grid.lattice, nodes, gradients, seen, near)
         dim, per_row = grid.dim, int(np.prod(grid.shape[1:]))

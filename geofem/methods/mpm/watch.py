@@ -170,6 +170,7 @@ class Splitter:
             if self.kind.transfer == "apic":
                 C = fields["C"].reshape(-1, d, d)
                 half["v"] = fields["v"] + sign * np.einsum("nij,nj->ni", C, shift)
+                half["spread"] = np.zeros_like(fields["spread"])  # of halves the gradient is known, not the moment
             made.append(half)
         return made[0], made[1]
 
