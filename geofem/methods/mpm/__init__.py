@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
+from typing import Any
+
 from geofem import materials
 from geofem.methods.mpm.implicit import ImplicitMpm
 from geofem.methods.mpm.kind import SCHEMES
@@ -11,6 +14,16 @@ from geofem.scene import Scene
 
 TRANSFERS = ("flip", "pic", "apic", "xpic")
 SOLVERS = ("explicit", "implicit")
+ONLY = {
+    "explicit": (
+        "transfer", "flip", "xpic", "scheme", "cfl", "damping", "small_mass", "passages", "sort_after", "threads", "dt_control",
+    ),
+    "implicit": ("ghost",),
+}  # fmt: skip
+"""Knobs that say something to one solver only."""
+GHOST, GHOST_PLASTIC = 0.03, 1e-3
+"""Default of the knob ``ghost``. Elastic bodies: the condition of their slivers. What flows strains by several per cent in a step,
+at which 0.03 times an elastic modulus is many times the strength: a wedge in clay met 1.6 cells of soil that is not there."""
 
 
 class Mpm:
@@ -20,7 +33,7 @@ class Mpm:
     kernels = {"": ""}
     """What the knob ``kernel`` may say -> the shape functions; the first is the default."""
     scheme = "usl"
-    small_mass = 1e-3
+    small_mass = 1e-2
 
     def refuses(self, scene: Scene) -> str | None:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
@@ -63,7 +76,7 @@ class Mpm:
         threads: int = 1,
         dt_control: str = "courant",
         solver: str = "explicit",
-        ghost: float = 0.03,
+        ghost: float | None = None,
     ) -> ExplicitMpm | ImplicitMpm:
         """The model of a scene.
 
@@ -89,15 +102,18 @@ class Mpm:
         dt_control : courant (see ``cfl``), or nodal: ``cfl`` is the share of the critical step, which is bounded node by node every
             few steps and falls where a body barely reaches a node, for an extra half of the work.
         solver : explicit, or implicit for a scene without inertia: Newton's method on the active cells of the grid, in ``load_steps``
-            (10) steps, to an out-of-balance force of ``tolerance`` (1e-9, plastic laws 1e-5) times the forces that balance. Of the
-            other knobs it heeds n, ppc, kernel, cure and split.
-        ghost : stiffness of the penalty on jumps of the gradient around nodes that carry next to nothing, as a share of the
-            material's (implicit only; see ``ghost``); 0 for none.
+            (10) steps, to an out-of-balance force of ``tolerance`` (1e-9, plastic laws 1e-5) times the forces that balance. The
+            other knobs of both solvers are n, ppc, kernel, cure and split.
+        ghost : (implicit) stiffness of the penalty on jumps of the gradient around nodes that carry next to nothing, as a share of
+            the material's (see ``ghost``); by default 0.03, and 0.001 with plastic laws, as what flows meets the penalty of an
+            elastic body and not that of its strength. 0 for none.
 
         Raises ``Mistake`` for a knob or a material out of range.
         """
+        told = dict(locals())
         if solver not in SOLVERS:
             raise unknown("solver", solver, SOLVERS)
+        self._refuse_idle(told)
         implicit, plastic = solver == "implicit", any(materials.LAWS[r.material.law].history for r in scene.regions)
         if implicit and scene.dynamic:
             raise Mistake(
@@ -106,6 +122,7 @@ class Mpm:
         load_steps = load_steps if load_steps is not None else (10 if implicit else 1)
         if tolerance is None:
             tolerance = (1e-5 if plastic else 1e-9) if implicit else 1e-4
+        ghost = ghost if ghost is not None else (GHOST_PLASTIC if plastic else GHOST)
         kernel = kernel or next(iter(self.kernels))
         if kernel not in self.kernels:
             raise unknown(f"kernel of {self.name}", kernel, self.kernels)
@@ -153,6 +170,17 @@ class Mpm:
             small_mass=small_mass, cure=cure == "cell", split=split, load_steps=int(load_steps), passages=passages,
             tolerance=tolerance, sort_after=sort_after, threads=int(threads), dt_control=dt_control,
         )  # fmt: skip
+
+
+    def _refuse_idle(self, told: dict[str, Any]) -> None:
+        """Raises ``Mistake`` if a knob is set that the chosen solver does not know."""
+        solver = told["solver"]
+        other = next(name for name in SOLVERS if name != solver)
+        for knob in ONLY[other]:
+            if told[knob] != inspect.signature(Mpm.build).parameters[knob].default:
+                raise Mistake(
+                    f"{self.name}: {knob} = {told[knob]!r} says nothing to solver={solver}; leave it out, or set solver={other}"
+                )
 
 
 class LinearMpm(Mpm):

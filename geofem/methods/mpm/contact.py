@@ -21,9 +21,12 @@ from geofem.scene import Array, Rigid
 
 
 class Contact:
-    """One rigid body: where it is, and the force (N) that it exerted on the bodies in the last step."""
+    """One rigid body: where it is, and the force (N) that it exerted on the bodies in the last step.
 
-    def __init__(self, rigid: Rigid):
+    place : its number among the scene's rigid bodies, each of which has a grip of its own on the points.
+    """
+
+    def __init__(self, rigid: Rigid, place: int = 0):
         self.rigid = rigid
         p = np.array(rigid.shape.points)
         side = np.roll(p, -1, axis=0) - p
@@ -33,6 +36,7 @@ class Contact:
         self.friction = min(rigid.friction, 1e300)
         self.velocity = np.zeros(2)
         self.force = np.zeros(2)
+        self.columns = slice(2 * place, 2 * place + 2)
         self.follow(0.0, 0.0, 1.0)
 
     def follow(self, t0: float, t1: float, dt: float) -> None:
@@ -43,11 +47,14 @@ class Contact:
         self.faces = np.column_stack([self.normals, self.points])
         self.box = np.concatenate([self.points.min(axis=0), self.points.max(axis=0)])
 
+    def grip(self, body: Body) -> Array:
+        """The friction force (N, 2) that this rigid body holds on the body's points, copies included; a view."""
+        return body.arrays["grip"][:, self.columns]
+
     def touch(self, body: Body, stiffness: float, h: float, dt: float) -> Array:
         """Add the contact forces to those of the body's points; returns their sum (2,) over the rank's own points."""
-        q = body.cloud
         return make_touch(SHAPES[body.kind.shape].domain, body.kind.small)(
-            q, body.arrays["grip"], body.n, self.faces, self.box, self.velocity, self.friction, stiffness, h, dt
+            body.cloud, self.grip(body), body.n, self.faces, self.box, self.velocity, self.friction, stiffness, h, dt
         )
 
 
@@ -76,34 +83,50 @@ def make_reach(kind: str) -> Any:
 
 
 @cache
-def make_touch(kind: str, small: bool) -> Any:
-    """The pass over the points, for domains given by half lengths, edges or corners."""
+def make_meet(kind: str, small: bool) -> Any:
+    """(q, p, x, y, faces, box, h) -> (face, depth, area): how a point, moved to (x, y), meets a convex rigid body.
+
+    Of all faces it is the one that the domain is nearest to having left; depth (m) is that to which the domain lies behind it, and
+    not positive where the two are apart. area (m2) : the domain's share of the surface.
+    """
     reach = make_reach(kind)
 
-    @njit(**OPTIONS)
-    def touch(q, grip, own, faces, box, velocity, friction, stiffness, h, dt):  # type: ignore[no-untyped-def]
-        total = np.zeros(2)
-        margin = 2.0 * h
-        for p in range(len(q.mass)):
-            x, y = q.x[p, 0], q.x[p, 1]
-            if x < box[0] - margin or x > box[2] + margin or y < box[1] - margin or y > box[3] + margin:
-                grip[p, 0] = grip[p, 1] = 0.0
-                continue
-            best, face, extent = -np.inf, 0, 0.0
+    @inlined
+    def meet(q, p, x, y, faces, box, h):  # type: ignore[no-untyped-def]
+        face, depth, area = 0, -1.0, 0.0
+        right, left = reach(q, p, 1.0, 0.0, h), reach(q, p, -1.0, 0.0, h)
+        up, down = reach(q, p, 0.0, 1.0, h), reach(q, p, 0.0, -1.0, h)
+        if x + left > box[0] and x - right < box[2] and y + down > box[1] and y - up < box[3]:
+            best, extent = -np.inf, 0.0
             for k in range(len(faces)):
                 nx, ny = faces[k, 0], faces[k, 1]
                 e = reach(q, p, nx, ny, h)
                 s = nx * (x - faces[k, 2]) + ny * (y - faces[k, 3]) - e
                 if s > best:
                     best, face, extent = s, k, e
-            if best >= 0.0:
+            F = q.F[p]
+            J = 1.0 if small else (F[0] * F[3] - F[1] * F[2]) * F[4]
+            depth, area = -best, 0.5 * q.volume[p] * J / extent
+        return face, depth, area
+
+    return meet
+
+
+@cache
+def make_touch(kind: str, small: bool) -> Any:
+    """The pass over the points, for domains given by half lengths, edges or corners."""
+    meet = make_meet(kind, small)
+
+    @njit(**OPTIONS)
+    def touch(q, grip, own, faces, box, velocity, friction, stiffness, h, dt):  # type: ignore[no-untyped-def]
+        total = np.zeros(2)
+        for p in range(len(q.mass)):
+            face, depth, area = meet(q, p, q.x[p, 0], q.x[p, 1], faces, box, h)
+            if depth <= 0.0:
                 grip[p, 0] = grip[p, 1] = 0.0
                 continue
             nx, ny = faces[face, 0], faces[face, 1]
-            F = q.F[p]
-            J = 1.0 if small else (F[0] * F[3] - F[1] * F[2]) * F[4]
-            area = 0.5 * q.volume[p] * J / extent
-            push = -stiffness * area * best
+            push = stiffness * area * depth
             slip = -ny * (q.v[p, 0] - velocity[0]) + nx * (q.v[p, 1] - velocity[1])
             hold = -ny * grip[p, 0] + nx * grip[p, 1] - stiffness * area * dt * slip
             most = friction * push

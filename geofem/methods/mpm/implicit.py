@@ -51,7 +51,7 @@ class ImplicitMpm:
         mass = sum(float(body.own("mass").sum()) for body in self.bodies)
         self.balance = answers.Balance(self.bodies, mass, spent=True, stress_first=False)
         self.splitter, self.watch = Splitter(self.kind, self.shape, split), Watch(scene, self.shape)
-        self._contacts = [Contact(rigid) for rigid in scene.rigids]
+        self._contacts = [Contact(rigid, k) for k, rigid in enumerate(scene.rigids)]
         # the modulus of compression waves, of cells in contact and of nodes that hardly any point holds
         densities = [region.material.density or 1.0 for region in scene.regions]
         self._moduli = [rho * b.law.wave_speed(b.par, rho) ** 2 for b, rho in zip(self.bodies, densities)]
@@ -76,6 +76,7 @@ class ImplicitMpm:
         """The nodes of the window that ends before the row ``last``, their conditions, and the mesh of the grid."""
         per_row = int(np.prod(self.grid.shape[1:]))
         count = (last - self.grid.first) * per_row
+        self._rate = np.zeros((count, self.grid.dim))  # of the nodes' increments in the last step, by the scene's time
         self.grid.nodes = np.zeros((count, g.COLUMNS[self.grid.dim]))
         coordinates = g.on_edges(self.grid.coordinates(), g.shape_bounds(self.scene) or [], self.h)
         row = self.grid.first + np.arange(count) // per_row
@@ -108,14 +109,18 @@ class ImplicitMpm:
         point), ``volume`` (a point left the grid), ``fracture`` (a body that is to stay whole fell apart); the last good state stays.
         """
         system = self._system()
+        goes_on = True
         while True:
             try:
-                before = self._solve(system, self.t + dt, dt)
+                before = self._solve(system, self.t + dt, dt, goes_on)
                 break
             except Breakdown as end:
                 self._count(system)
                 if end.cause == "nullspace":
                     raise Breakdown("nullspace", f"{end}; at t = {self.t:.4g}") from None
+                if goes_on and self._rate.any():
+                    goes_on = False
+                    continue
                 self.work["cuts"] += 1
                 dt *= 0.5
                 if dt < SMALLEST_STEP * self._first_dt:
@@ -166,8 +171,12 @@ class ImplicitMpm:
                 body.par[:] = body.law.parameters(region.material, scene.weakening(t))
         system.load = np.concatenate(parts)
 
-    def _solve(self, system: System, t: float, dt: float) -> tuple[Array, Array, Array]:
-        """Find the balance at t; returns internal, external and reaction forces of the start of the step on the same nodes."""
+    def _solve(self, system: System, t: float, dt: float, goes_on: bool = True) -> tuple[Array, Array, Array]:
+        """Find the balance at t; returns internal, external and reaction forces of the start of the step on the same nodes.
+
+        goes_on : begin with a motion like that of the last step: where soil flows, the flow on the grid changes little from step to
+        step, and from rest most iterations would go into finding it again.
+        """
         system.dt = dt
         system.unknown.x.array[:] = 0.0
         self.limits.follow(self.t, t)
@@ -175,8 +184,10 @@ class ImplicitMpm:
         self._loads(system, t)
         if self._contacts:
             system.touch = self._press(t)
-        for _ in range(ROUNDS):
+        for turn in range(ROUNDS):
             self.limits.apply(system)
+            if turn == 0 and goes_on:
+                system.begin(dt * self._rate)
             system.solve(self.tolerance, self.plastic)
             if not self.limits.review(system, self.tolerance):
                 return before
@@ -226,6 +237,8 @@ class ImplicitMpm:
             body.settle()
         if isinstance(system.touch, Press):
             system.touch.commit()
+        self._rate[:] = 0.0
+        self._rate[system.node_of_dof] = du / dt
         self.t += dt
         self.work["steps"] += 1
         self.work["point_steps"] += self._total()
@@ -284,8 +297,12 @@ class ImplicitMpm:
     def state(self) -> dict[str, Array]:
         """All that a checkpoint must hold, on rank 0. Collective."""
         numbers = [self.t, self._dt, self._imbalance, self.least, *self._last]
+        per_row = int(np.prod(self.grid.shape[1:]))
+        first, end = ((row - self.grid.first) * per_row for row in self.grid.own)
+        rates = self.comm.gather(self._rate[first:end])
         return setting.gather(self.comm, self.bodies) | {
             "clock": np.array(numbers), "balance": self.balance.state(), "work": np.array(list(self.work.values())),
+            "rate": np.concatenate(rates) if rates is not None else np.zeros((0, self.grid.dim)),
         }  # fmt: skip
 
     def restore(self, state: dict[str, Array]) -> None:
@@ -296,3 +313,5 @@ class ImplicitMpm:
         self.balance.restore(state["balance"])
         self.work = dict(zip(self.work, state["work"].tolist()))
         self._exchange()
+        first = self.grid.first * int(np.prod(self.grid.shape[1:]))
+        self._rate[:] = state["rate"][first : first + len(self._rate)]

@@ -24,12 +24,12 @@ SHIFT = 1 << 31
 class Body:
     """One region's points on this rank: ``n`` of its own, then copies of others' points near its cells.
 
-    All arrays of ``Cloud``, and: spread (N, 3 or 6) see ``parts.make_keep_moments`` (apic only); grip (N, d) friction force held by
-    a rigid body (N); id (N,) number that a point was born with; key (N,) its place in the common order of all ranks. Arrays are
-    longer than the points they hold.
+    All arrays of ``Cloud``, and: spread (N, 3 or 6) see ``parts.make_keep_moments`` (apic only); grip (N, d rigids) friction force
+    held by each rigid body (N); id (N,) number that a point was born with; key (N,) its place in the common order of all ranks.
+    Arrays are longer than the points they hold.
     """
 
-    def __init__(self, seeds: Seeds, material: Material, par: Array, kind: Any, domain: str, h: float, gripped: bool):
+    def __init__(self, seeds: Seeds, material: Material, par: Array, kind: Any, domain: str, h: float, rigids: int):
         law = materials.get(material.law)
         self.law, self.par, self.kind = law, par, kind
         self.answer = Answer(law.point, materials.LAWS[material.law].history, law.state_size(4) > 0)
@@ -59,7 +59,7 @@ class Body:
             "mass": seeds.volumes * material.density,
             "volume": seeds.volumes.copy(),
             "domain": np.ascontiguousarray(place, float),
-            "grip": np.zeros((N, d if gripped else 0)),
+            "grip": np.zeros((N, d * rigids)),
             "id": np.arange(N),
             "key": np.arange(N),
         }

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from geofem.methods.mpm.contact import Contact, make_reach
+from geofem.methods.mpm.contact import Contact, make_meet
 from geofem.methods.mpm.grid import OPTIONS
 from geofem.methods.mpm.points import Body
 from geofem.methods.mpm.shapes import SHAPES
@@ -24,7 +24,7 @@ class Press:
 
     def __init__(self, contacts: list[Contact], bodies: list[Body], stiffness: list[float], h: float):
         self.contacts, self.bodies, self.stiffness, self.h = contacts, bodies, stiffness, h
-        self.grips = [np.zeros((body.n, 2)) for body in bodies]
+        self.grips = [np.zeros((body.n, 2 * len(contacts))) for body in bodies]
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
         """Forces (N, 2) on points displaced by u (N, 2), and minus their derivative (N, 2, 2)."""
@@ -39,8 +39,8 @@ class Press:
             press = make_press(SHAPES[body.kind.shape].domain, body.kind.small)
             for contact in self.contacts:
                 contact.force += press(
-                    body.cloud, body.arrays["grip"], body.n, u[part], contact.faces, contact.box, contact.velocity,
-                    contact.friction, k, self.h, force[part], spring[part], grip,
+                    body.cloud, contact.grip(body), body.n, u[part], contact.faces, contact.box, contact.velocity,
+                    contact.friction, k, self.h, force[part], spring[part], grip[:, contact.columns],
                 )  # fmt: skip
         return force, spring
 
@@ -52,30 +52,18 @@ class Press:
 @cache
 def make_press(kind: str, small: bool) -> Any:
     """The pass over the points, for domains given by half lengths, edges or corners."""
-    reach = make_reach(kind)
+    meet = make_meet(kind, small)
 
     @njit(**OPTIONS)
     def press(q, grip, own, u, faces, box, moved, friction, stiffness, h, force, spring, new_grip):  # type: ignore[no-untyped-def]
         total = np.zeros(2)
-        margin = 2.0 * h
         for p in range(own):
-            x, y = q.x[p, 0] + u[p, 0], q.x[p, 1] + u[p, 1]
-            if x < box[0] - margin or x > box[2] + margin or y < box[1] - margin or y > box[3] + margin:
-                continue
-            best, face, extent = -np.inf, 0, 0.0
-            for k in range(len(faces)):
-                nx, ny = faces[k, 0], faces[k, 1]
-                e = reach(q, p, nx, ny, h)
-                s = nx * (x - faces[k, 2]) + ny * (y - faces[k, 3]) - e
-                if s > best:
-                    best, face, extent = s, k, e
-            if best >= 0.0:
+            face, depth, area = meet(q, p, q.x[p, 0] + u[p, 0], q.x[p, 1] + u[p, 1], faces, box, h)
+            if depth <= 0.0:
                 continue
             nx, ny = faces[face, 0], faces[face, 1]
-            F = q.F[p]
-            J = 1.0 if small else (F[0] * F[3] - F[1] * F[2]) * F[4]
-            k = stiffness * 0.5 * q.volume[p] * J / extent
-            push = -k * best
+            k = stiffness * area
+            push = k * depth
             slip = -ny * (u[p, 0] - moved[0]) + nx * (u[p, 1] - moved[1])
             hold = -ny * grip[p, 0] + nx * grip[p, 1] - k * slip
             most = friction * push
@@ -84,8 +72,7 @@ def make_press(kind: str, small: bool) -> Any:
                 hold, along, across = most, 0.0, friction * k
             elif hold < -most:
                 hold, along, across = -most, 0.0, -friction * k
-            new_grip[p, 0] += -ny * hold
-            new_grip[p, 1] += nx * hold
+            new_grip[p, 0], new_grip[p, 1] = -ny * hold, nx * hold
             fx, fy = push * nx - ny * hold, push * ny + nx * hold
             force[p, 0] += fx
             force[p, 1] += fy

@@ -27,7 +27,7 @@ def make_bodies(scene: Scene, kind: Kind, h: float, ppc: int) -> tuple[g.Grid, l
     for region, filled in zip(scene.regions, seeds, strict=True):
         law = materials.get(region.material.law)
         par = law.parameters(region.material, scene.weakening(0.0) if scene.weakening is not None else 1.0)
-        bodies.append(Body(filled, region.material, par, kind, shape.domain, h, bool(scene.rigids)))
+        bodies.append(Body(filled, region.material, par, kind, shape.domain, h, len(scene.rigids)))
     return grid, bodies, seeds, bounds
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from dolfinx import fem, la
+from mpi4py import MPI
 from numba import njit
 from petsc4py import PETSc
 
@@ -223,6 +224,27 @@ class System:
         self._blocked[entries] = held[self._rows[entries]] | held[self._columns[entries]]
         self._across = np.flatnonzero(held[self._columns] & ~held[self._rows])
         self._diagonal = held[: self.owned].astype(float)
+
+    def begin(self, increments: Array) -> None:
+        """Start from increments (window's nodes, d) and what is prescribed, where that is nearer to balance than rest is. Collective."""
+        rest, x = self.unknown.x.array.copy(), self.unknown.x.array
+        pending = self.comm.allreduce(bool(np.any(x[self.held] != self._prescribed)), op=MPI.LOR)
+        found = [self._out_of_balance()]
+        x[:] = increments[self.node_of_dof].ravel()
+        self.unknown.x.scatter_forward()
+        x[self.held] = self._prescribed
+        found.append(self._out_of_balance())
+        # what is prescribed puts rest out of balance by design
+        if not (np.isfinite(found[1]) and (pending or found[1] < found[0])):
+            x[:] = rest
+
+    def _out_of_balance(self) -> float:
+        """Norm of the forces that nothing holds, infinite in an inadmissible state. Collective."""
+        now = self.evaluate()
+        free = now.force.copy()
+        free[self.held] = 0.0
+        bad = self.comm.allreduce(not now.valid, op=MPI.LOR)
+        return np.inf if bad else self.norm(free)
 
     def solve(self, tolerance: float, plastic: bool) -> None:
         """Newton's iteration from the present unknown, under the conditions of the last ``hold``."""
