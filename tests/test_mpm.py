@@ -16,8 +16,6 @@ from geofem.scene import Box, Crack, Disc, Load, Material, Polygon, Probe, Regio
 # smallest deflection (m) of the tips of ``beam()`` and ``beam(4e8)``: P2 triangles in a total Lagrangian formulation with
 # Newmark's rule, 8 and 12 cells across, good to about .1 %
 TIP_SOFT, TIP_STIFF = -1.7375, -0.018496
-SMOOTH = [("gimp", "usl", "flip"), ("cpdi", "usl", "flip"), ("cpdi2", "usl", "apic"), ("bspline2", "musl", "xpic")]
-"""Shapes whose gradients do not jump, or not as much: the kernels are those of the tests of conservation."""
 
 
 def bar(v0: float, n: int, periods: float) -> Scene:
@@ -165,6 +163,28 @@ def test_crushing_turns_a_point_inside_out() -> None:
     crush = block(lambda x: np.stack([-600.0 * (x[0] - 0.5), 0 * x[0]]))
     cause, t, message = fails(crush, n=8, cfl=10.0)
     assert cause == "tangle" and "det F" in message and "m, now at (" in message and t == 0.0
+
+
+def test_update_stress_last_ends_hats_in_large_rotations() -> None:
+    """With usl hats draw energy from nodes of little mass until a point is turned inside out; the finer the grid the earlier."""
+    (cause, coarse, _), (_, fine, _) = (fails(beam(), n=n, scheme="usl") for n in (8, 16))
+    assert cause in ("energy", "tangle") and fine < coarse < 0.5
+
+
+def test_a_point_that_leaves_the_grid_ends_the_run() -> None:
+    """At 100 m/s to the right the first points leave the room, 2 m away, at t = .02 s; where and when is told."""
+    cause, t, message = fails(block(uniform(100.0, 0.0)), n=8)
+    assert cause == "volume" and t == pytest.approx(0.02, rel=0.05)
+    x = float(message.split("now at (")[1].split(",")[0])
+    assert x == pytest.approx(3.0, abs=0.1) and "left the background grid at t = 0.0" in message
+
+
+def test_a_runaway_velocity_is_named() -> None:
+    """A step of 20 times what the grid bears: speeds grow in one step beyond ten times that of waves and that of the start."""
+    linear = Region("block", Box((0.0, 0.0), (1.0, 1.0)), Material("linear_elastic", 1000.0, {"E": 4e6, "nu": 0.3}))
+    swing = block(lambda x: np.stack([20.0 * (x[0] - 0.5), 0 * x[0]]), t_end=10.0, regions=(linear,), loads=(), strain="small")
+    cause, _, message = fails(swing, n=8, cfl=20.0)
+    assert cause == "cfl" and "faster than" in message
 
 
 def test_no_rest_without_damping() -> None:
