@@ -198,7 +198,13 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
         crosses = f"the bar marks where it crosses {percent(this.threshold)} or a run breaks down"
         axes.set_title(f"{this.title}\n{against}; {crosses}", fontweight="bold")
         scale = matplotlib.cm.ScalarMappable(norm, colours)
-        figure.colorbar(scale, ax=axes, label=this.quantity, aspect=14, pad=0.01, format=percent)
+        bar = figure.colorbar(scale, ax=axes, label=this.quantity, aspect=14, pad=0.01, format=percent).ax.yaxis
+        few = max(errors) / min(errors) < 100
+        bar.set_minor_formatter(lambda x, _: percent(x) if few and f"{x:e}"[0] in "25" else "")
+        low, high = sorted((this.safe, this.harsh))
+        if this.scale.name == "log" and high / low < 1000:
+            axes.xaxis.set_major_formatter("{x:g}")
+            axes.xaxis.set_minor_formatter(chart.between("235" if high / low < 30 else "25"))
     return figure
 
 
