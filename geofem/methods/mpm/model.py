@@ -124,7 +124,7 @@ class ExplicitMpm:
         for k, (body, region) in enumerate(zip(self.bodies, self.scene.regions)):
             if not self.kind.small and body.law.stretched_speed is not None and body.n:
                 speeds[k] = max(speeds[k], body.law.stretched_speed(body.own("F"), body.par, region.material.density))
-        return self.comm.allreduce(speeds, op=MPI.MAX).tolist() if self.comm.size > 1 else speeds.tolist()
+        return np.max(self.comm.allgather(speeds), axis=0).tolist()
 
     def _weakening(self, t: float) -> float:
         return self.scene.weakening(t) if self.scene.weakening is not None else 1.0
