@@ -14,7 +14,7 @@ from geofem.methods.mpm.model import ExplicitMpm
 from geofem.scene import Box, Load, Material, Probe, Region, Scene, Support
 
 Array = np.ndarray
-SOLID = [("gimp", "usl"), ("cpdi", "usl")]
+SOLID = [("cpdi", "usl")]
 
 
 def everywhere(x: Array) -> Array:

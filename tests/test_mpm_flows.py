@@ -121,20 +121,18 @@ def test_low_columns_run_as_far_as_grains_do(method: Method) -> None:
     assert result.checks["mass"] < 1e-12
 
 
-def test_laws_of_grains_agree_and_rate_hardening_slows() -> None:
-    """Drucker and Prager's cone is fitted to Mohr-Coulomb in plane strain; mu(I) has the same strength at rest, and more in motion."""
-    far = {
-        law: run("column_collapse", GIMP, n=10, flip=0.998, law=law).qoi["run_out"]
-        for law in ("mohr_coulomb", "drucker_prager", "mu_i")
-    }
-    assert far["drucker_prager"] == pytest.approx(far["mohr_coulomb"], rel=0.02)
-    assert 0.85 * far["mohr_coulomb"] < far["mu_i"] < 0.99 * far["mohr_coulomb"]
+def test_rate_hardening_slows_a_heap() -> None:
+    """mu(I) has the strength of Mohr and Coulomb's law at rest, and more in motion."""
+    constant, rate = (
+        run("column_collapse", GIMP, n=10, flip=0.998, law=law).qoi["run_out"] for law in ("mohr_coulomb", "mu_i")
+    )
+    assert 0.85 * constant < rate < 0.99 * constant
 
 
 # --- water ------------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", [GIMP, CPDI], ids=named)
 def test_front_of_a_dam_break(method: Method) -> None:
-    result = run("dam_break", method, n=10)
+    result = run("dam_break", method, n=14)
     assert result.error["front"] < 0.05 and result.error["front_speed"] < 0.1
     assert abs(result.checks["volume"]) < 1e-3 and result.checks["momentum"] < 1e-12
 
@@ -146,18 +144,10 @@ def test_dam_break_goes_on_past_the_impact() -> None:
     assert abs(result.checks["volume"]) < 1e-3
 
 
-def test_a_point_that_leaves_the_grid_ends_the_run_and_says_where() -> None:
-    scene = scenes.get("dam_break")(end=0.3)
-    low = replace(scene, room=Box((0.0, 0.0), (4 * 0.05715, 2 * 0.05715)), walls=scene.walls[:2])
-    result = geofem.run(low, method="mpm-gimp", n=4)
-    assert (result.status, result.cause) == ("failed", "volume")
-    assert "left the background grid at t" in str(result.message)
-
-
 # --- a slide ----------------------------------------------------------------------------------------------------------
 def test_slide_runs_only_without_locking() -> None:
     """Flow without dilation locks cells that have four points each; averaged over a cell, the volume does not."""
-    locked, free = (run("slope_runout", GIMP, n=6, cure=cure) for cure in ("none", "cell"))
+    locked, free = (run("slope_runout", GIMP, n=5, cure=cure) for cure in ("none", "cell"))
     assert free.qoi["run_out"] > 5 * locked.qoi["run_out"] > 0
     assert free.qoi["rest"] < 0.05, "it has come to rest"
 
@@ -189,14 +179,12 @@ assert result.status == ("partial" if stop < 1 else "ok"), result.message
 
 @pytest.mark.slow
 @pytest.mark.mpi
-@pytest.mark.parametrize("first, then", [(3, 2)])
-def test_a_flow_is_taken_up_by_another_number_of_ranks(
-    mpirun: Callable[..., str], tmp_path: Path, first: int, then: int
-) -> None:
+def test_a_flow_is_taken_up_by_another_number_of_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
+    """Three ranks begin and two go on where one went all the way. Short, as three ranks on two cores wait for each other's turn."""
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    mpirun(1, "-c", STOP, str(whole), "2", "new")
-    mpirun(first, "-c", STOP, str(parts), "0.5", "new")
-    mpirun(then, "-c", STOP, str(parts), "2", "resume")
+    geofem.run(replace(scenes.get("column_collapse")(), t_end=0.02), "mpm-cpdi", n=5, split=1, out=whole)
+    mpirun(3, "-c", STOP, str(parts), "0.5", "new")
+    mpirun(2, "-c", STOP, str(parts), "2", "resume")
     expected, found = Result.load(whole), Result.load(parts)
     assert found.work == expected.work and found.size == expected.size
     for name, values in expected.history.items():
