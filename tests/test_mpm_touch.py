@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from points import NOTHING, block, build, finish, uniform
 
+from geofem.methods.mpm import GimpMpm
 from geofem.scene import Box, Load, Polygon, Probe, Rigid, Scene, Support, Wall
 
 SHAPES = [("hat", "musl"), ("gimp", "usl"), ("cpdi", "usl")]
@@ -158,3 +159,18 @@ def test_a_smooth_face_pushes_along_its_normal(shape: str, scheme: str) -> None:
     fx, fy = (model.probe(probe) for probe in FORCE)
     assert fy < -100.0 and fx == pytest.approx(fy / 3.0, rel=1e-9)
     assert model.checks()["momentum"] < 1e-12
+
+
+@pytest.mark.parametrize("knobs", [{"passages": 30.0}, {"solver": "implicit", "load_steps": 8}])
+def test_each_rigid_body_keeps_its_own_grip(knobs: dict[str, Any]) -> None:
+    """A rough plate is pressed on and drawn along; a second rigid body that touches nothing takes nothing from its friction."""
+    drawn = plate(lambda t: (1e-4 * max(0.0, t - 0.3) / 0.7, -0.004 * min(1.0, t / 0.3)), np.inf)
+    apart = Rigid("apart", Polygon(((1.4, -0.5), (1.9, -0.5), (1.9, 0.5), (1.4, 0.5))))
+    clamp = replace(BASE, components=(0, 1))
+    scene = replace(block(None, t_end=1.0, supports=(clamp,), rigids=(drawn,), probes=FORCE, loads=()), dynamic=False)
+    forces = []
+    for rigids in ((drawn,), (drawn, apart), (apart, drawn)):
+        model = finish(GimpMpm().build(replace(scene, rigids=rigids), n=4, **knobs))
+        forces.append([model.probe(probe) for probe in FORCE])
+    assert forces[0][0] > 50.0
+    assert forces[1] == pytest.approx(forces[0], rel=1e-9) and forces[2] == pytest.approx(forces[0], rel=1e-9)
