@@ -10,6 +10,7 @@ import pytest
 from points import NOTHING, block, build, finish, uniform
 
 from geofem.methods.mpm import GimpMpm
+from geofem.methods.mpm.contact import Contact
 from geofem.scene import Box, Load, Polygon, Probe, Rigid, Scene, Support, Wall
 
 SHAPES = [("hat", "musl"), ("gimp", "usl"), ("cpdi", "usl")]
@@ -174,3 +175,18 @@ def test_each_rigid_body_keeps_its_own_grip(knobs: dict[str, Any]) -> None:
         forces.append([model.probe(probe) for probe in FORCE])
     assert forces[0][0] > 50.0
     assert forces[1] == pytest.approx(forces[0], rel=1e-9) and forces[2] == pytest.approx(forces[0], rel=1e-9)
+
+
+def test_a_long_domain_passes_by_a_corner() -> None:
+    """A sheared domain beside a corner lies behind both faces that meet there, and yet apart; shifted, it overlaps by its own side."""
+    corner = Contact(Rigid("corner", Polygon(((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)))), 0)
+    scene = replace(block(None, room=Box((-4.0, -4.0), (8.0, 8.0))), rigids=(corner.rigid,), dynamic=False)
+    body = build(scene, "cpdi", n=1, ppc=1).bodies[0]
+    # a needle along (1, -1) of 2 by 0.1, its middle at a distance d from the corner
+    body.arrays["domain"][0] = (0.7, -0.7, 0.035, 0.035)
+    for d, touches in ((0.06, False), (0.045, True)):
+        body.own("x")[0] = -d / np.sqrt(2.0)
+        body.force[:] = 0.0
+        force = corner.touch(body, 1.0, 1.0, 1.0)
+        assert bool(np.any(force)) == touches
+    assert force[0] == pytest.approx(force[1]) and force[0] < 0.0

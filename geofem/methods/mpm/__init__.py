@@ -171,7 +171,6 @@ class Mpm:
             tolerance=tolerance, sort_after=sort_after, threads=int(threads), dt_control=dt_control,
         )  # fmt: skip
 
-
     def _refuse_idle(self, told: dict[str, Any]) -> None:
         """Raises ``Mistake`` if a knob is set that the chosen solver does not know."""
         solver = told["solver"]

@@ -22,6 +22,7 @@ ROUGH = 10.0
 """The largest coefficient of friction. With an infinite one a point that barely touches a face drags it with any force and, a hair
 away, with none: between the two there is no balance to be found. Pressed soil yields long before it slips at a slope of 84 degrees."""
 
+
 class Press:
     """All rigid bodies against all points of a rank, one body after the other; each ``Contact`` holds the force of its rigid body."""
 
