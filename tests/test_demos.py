@@ -13,7 +13,10 @@ from conftest import ROOT, Done, start
 
 from geofem import scenes
 
-SMALL = {"beam_drop": "fem=(1, 2), mpm=(4, 8), figure=Path(sys.argv[1])"}
+SMALL = {
+    "beam_drop": "fem=(1, 2), mpm=(4, 8), figure=Path(sys.argv[1])",
+    "column_collapse": "low=(1.0,), tall=(4.0,), figure=Path(sys.argv[1])",
+}
 """Keywords of a demo's ``main`` that make it quick."""
 
 

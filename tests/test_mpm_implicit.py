@@ -17,7 +17,7 @@ from geofem.mistake import Breakdown, Mistake
 from geofem.result import Result
 from geofem.runner import prepare
 from geofem.scene import Box, Load, Material, Polygon, Probe, Region, Rigid, Scene, Support, Wall
-from geofem.scenes import axial, column, patch
+from geofem.scenes import axial, column, footing, patch, wedge
 
 KERNELS = [("mpm-linear", {}), ("mpm-gimp", {}), ("mpm-gimp", {"kernel": "contiguous"}), ("mpm-cpdi", {}), ("mpm-cpdi2", {}),
            ("mpm-bspline", {})]  # fmt: skip
@@ -59,6 +59,27 @@ def test_column_settles_as_the_exact_one(kernel, tolerance):
     result = run("column", kernel, n=16)
     assert result.status == "ok" and result.error["settlement"] < tolerance
     assert result.savings["active_grid"] < 0.2
+
+
+def test_cubic_splines_in_a_room_of_one_cell():
+    """Both ends of the room are within reach of every point: a column without Poisson's effect is the same however thin it is."""
+    tops = []
+    for width in (0.25, 0.5):
+        scene = Scene(
+            "thin", (Region("column", Box((0.0, 0.0), (width, 1.0)), Material("hencky", 80.0, {"E": 1e4, "nu": 0.0})),), 1.0,
+            (Support("base", lambda x: x[1] <= 0, (1,)), Support("sides", lambda x, w=width: (x[0] <= 0) | (x[0] >= w), (0,))),
+            loads=(Load("gravity", (0.0, -10.0)),), room=Box((0.0, 0.0), (width, 1.25)),
+        )  # fmt: skip
+        model = to_end(build(scene, "mpm-bspline", kernel="cubic", n=4, load_steps=1, ghost=0.0))
+        tops.append(model.bodies[0].own("x")[:, 1].max())
+    assert tops[0] == pytest.approx(tops[1], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_wedge_bears_what_hill_says():
+    """The exact solution of a large penetration, at 6 cells over the depth: 1 % too high."""
+    result = run("wedge", "mpm-cpdi", n=6, load_steps=60, cure="cell")
+    assert result.status == "ok" and result.error["p_over_k"] < 0.05
 
 
 @pytest.mark.slow  # the explicit passes take their time to compile
@@ -189,6 +210,21 @@ def test_a_scene_in_motion_is_refused():
         methods.get("mpm-gimp").build(axial.scene(), solver="implicit")
 
 
+@pytest.mark.parametrize(
+    ("solver", "knob"),
+    [
+        ("implicit", {"scheme": "musl"}),
+        ("implicit", {"flip": 1.0}),
+        ("implicit", {"threads": 2}),
+        ("explicit", {"ghost": 0.01}),
+    ],
+)
+def test_knobs_of_the_other_solver_are_refused(solver, knob):
+    name = next(iter(knob))
+    with pytest.raises(Mistake, match=f"mpm-gimp: {name} = .* says nothing to solver={solver}; leave it out"):
+        methods.get("mpm-gimp").build(column.scene(), solver=solver, **knob)
+
+
 # --- walls and rigid bodies ---------------------------------------------------------------------------------------------
 def resting(friction: float, push: float = 0.0) -> Scene:
     """A block with its weight on a wall, pushed along it by a share of its weight."""
@@ -231,6 +267,23 @@ def test_rigid_plate_presses_as_hooke_says(friction):
     force = -result.history["load"][-1]
     assert E * sink / (1 + 1 / n) * 0.99 < force < E * sink * 1.01
     assert result.work["newton"] < 8
+
+
+def test_rough_footing_goes_on_where_its_side_lets_go():
+    """At 0.05 B points come to touch the footing's rough side, with next to no pressure."""
+    model = to_end(build(footing.scene(strain="finite", depth=0.1), "mpm-cpdi", n=4, load_steps=8, cure="cell"))
+    assert model.work["cuts"] == 0
+
+
+def test_newton_starts_from_the_flow_of_the_last_step():
+    scene = replace(wedge.scene(), t_end=0.5)
+    going, resting = (build(scene, n=2, load_steps=10, cure="cell", tolerance=1e-8) for _ in range(2))
+    to_end(going)
+    while resting.t < scene.t_end * (1 - 1e-12):
+        resting._rate[:] = 0.0
+        resting.step(resting.dt())
+    assert going.work["newton"] < 0.7 * resting.work["newton"]
+    assert going.probe(scene.probes[0]) == pytest.approx(resting.probe(scene.probes[0]), rel=1e-4)
 
 
 # --- how it ends ----------------------------------------------------------------------------------------------------------

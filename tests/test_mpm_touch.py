@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from points import NOTHING, block, build, finish, uniform
 
+from geofem.methods.mpm import GimpMpm
+from geofem.methods.mpm.contact import Contact
 from geofem.scene import Box, Load, Polygon, Probe, Rigid, Scene, Support, Wall
 
 SHAPES = [("hat", "musl"), ("gimp", "usl"), ("cpdi", "usl")]
@@ -158,3 +160,33 @@ def test_a_smooth_face_pushes_along_its_normal(shape: str, scheme: str) -> None:
     fx, fy = (model.probe(probe) for probe in FORCE)
     assert fy < -100.0 and fx == pytest.approx(fy / 3.0, rel=1e-9)
     assert model.checks()["momentum"] < 1e-12
+
+
+@pytest.mark.parametrize("knobs", [{"passages": 30.0}, {"solver": "implicit", "load_steps": 8}])
+def test_each_rigid_body_keeps_its_own_grip(knobs: dict[str, Any]) -> None:
+    """A rough plate is pressed on and drawn along; a second rigid body that touches nothing takes nothing from its friction."""
+    drawn = plate(lambda t: (1e-4 * max(0.0, t - 0.3) / 0.7, -0.004 * min(1.0, t / 0.3)), np.inf)
+    apart = Rigid("apart", Polygon(((1.4, -0.5), (1.9, -0.5), (1.9, 0.5), (1.4, 0.5))))
+    clamp = replace(BASE, components=(0, 1))
+    scene = replace(block(None, t_end=1.0, supports=(clamp,), rigids=(drawn,), probes=FORCE, loads=()), dynamic=False)
+    forces = []
+    for rigids in ((drawn,), (drawn, apart), (apart, drawn)):
+        model = finish(GimpMpm().build(replace(scene, rigids=rigids), n=4, **knobs))
+        forces.append([model.probe(probe) for probe in FORCE])
+    assert forces[0][0] > 50.0
+    assert forces[1] == pytest.approx(forces[0], rel=1e-9) and forces[2] == pytest.approx(forces[0], rel=1e-9)
+
+
+def test_a_long_domain_passes_by_a_corner() -> None:
+    """A sheared domain beside a corner lies behind both faces that meet there, and yet apart; shifted, it overlaps by its own side."""
+    corner = Contact(Rigid("corner", Polygon(((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)))), 0)
+    scene = replace(block(None, room=Box((-4.0, -4.0), (8.0, 8.0))), rigids=(corner.rigid,), dynamic=False)
+    body = build(scene, "cpdi", n=1, ppc=1).bodies[0]
+    # a needle along (1, -1) of 2 by 0.1, its middle at a distance d from the corner
+    body.arrays["domain"][0] = (0.7, -0.7, 0.035, 0.035)
+    for d, touches in ((0.06, False), (0.045, True)):
+        body.own("x")[0] = -d / np.sqrt(2.0)
+        body.force[:] = 0.0
+        force = corner.touch(body, 1.0, 1.0, 1.0)
+        assert bool(np.any(force)) == touches
+    assert force[0] == pytest.approx(force[1]) and force[0] < 0.0

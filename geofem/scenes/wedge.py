@@ -6,7 +6,9 @@ The right half only, between rollers, on a fixed base, three times as wide and t
 contact and its lip at the end, and at least 10 d and 6 d.
 
 Measured. `p_over_k`: the mean pressure on the wedge by k. The force F on the half wedge grows in proportion to the depth z;
-its slope dF/dz, by least squares over the second half of the way, is divided by the half width of contact per depth.
+its slope dF/dz, by least squares over all of the way but the first fifth, is divided by the half width of contact per depth. In an
+exact solution any part of the way gives the same. Through a grid the force goes up in steps from cell to cell, of 0.02 of the last one
+at 8 cells: a slope over four fifths of the way is known to 3 % then, over the second half to 8 %.
 
 Reference. Exact for rigid-plastic soil (Hill, Lee and Tupper 1947): p = 2 k (1 + psi), where psi solves cos(2 beta - psi) =
 cos psi / (1 + sin psi). The contact is z / (cos beta - sin(beta - psi)) long, as the soil that the wedge displaces lies
@@ -72,8 +74,8 @@ def scene(*, beta: float = 45.0, Ir: float = 500.0) -> Scene:
 
     def pressure_over_strength(history: History) -> float:
         z = DEPTH * np.asarray(history["t"])
-        last = z >= 0.5 * DEPTH
-        if last.sum() < 2:
+        last = z >= 0.2 * DEPTH
+        if last.sum() < 2 or z[-1] < 0.5 * DEPTH:
             raise ValueError("the run ended before half the depth")
         slope = float(np.polyfit(z[last], -np.asarray(history["load"])[last], 1)[0])
         return slope / (half * STRENGTH)

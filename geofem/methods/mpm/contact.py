@@ -7,6 +7,7 @@ elastic shortening of a cell under the contact pressure.
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -26,7 +27,7 @@ class Contact:
     place : its number among the scene's rigid bodies, each of which has a grip of its own on the points.
     """
 
-    def __init__(self, rigid: Rigid, place: int = 0):
+    def __init__(self, rigid: Rigid, place: int):
         self.rigid = rigid
         p = np.array(rigid.shape.points)
         side = np.roll(p, -1, axis=0) - p
@@ -83,31 +84,65 @@ def make_reach(kind: str) -> Any:
 
 
 @cache
-def make_meet(kind: str, small: bool) -> Any:
-    """(q, p, x, y, faces, box, h) -> (face, depth, area): how a point, moved to (x, y), meets a convex rigid body.
+def make_side(kind: str) -> Any:
+    """(q, p, j) -> unit normal into the domain of point p at its side j of four."""
 
-    Of all faces it is the one that the domain is nearest to having left; depth (m) is that to which the domain lies behind it, and
-    not positive where the two are apart. area (m2) : the domain's share of the surface.
+    @inlined
+    def side(q, p, j):  # type: ignore[no-untyped-def]
+        d = q.domain[p]
+        if kind == "half":
+            tx, ty = (1.0, 0.0) if j < 2 else (0.0, 1.0)
+            turn = 1.0 if j % 2 else -1.0
+        elif kind == "edges":
+            F, o = q.stretch[p], 0 if j < 2 else 2
+            tx, ty = F[0] * d[o] + F[1] * d[o + 1], F[2] * d[o] + F[3] * d[o + 1]
+            turn = 1.0 if j % 2 else -1.0
+        else:
+            o, a = 2 * j, 2 * ((j + 1) & 3)  # counter-clockwise: what is inside lies on the left
+            tx, ty, turn = d[a] - d[o], d[a + 1] - d[o + 1], 1.0
+        scale = turn / math.sqrt(tx * tx + ty * ty)
+        return -scale * ty, scale * tx
+
+    return side
+
+
+@cache
+def make_meet(kind: str, small: bool) -> Any:
+    """(q, p, x, y, faces, box, h) -> (nx, ny, depth, area): how a point, moved to (x, y), meets a convex rigid body.
+
+    Two convex bodies are apart if one side of either parts them; else they meet along that normal n, from the rigid body to the point,
+    in which they overlap least. The sides of the domain count too: a long one that passes by a corner of the rigid body lies behind all
+    faces of it, and yet is apart. depth (m) : the overlap, not positive where they are apart. area (m2) : the domain's share of the
+    surface.
     """
-    reach = make_reach(kind)
+    reach, side = make_reach(kind), make_side(kind)
 
     @inlined
     def meet(q, p, x, y, faces, box, h):  # type: ignore[no-untyped-def]
-        face, depth, area = 0, -1.0, 0.0
-        right, left = reach(q, p, 1.0, 0.0, h), reach(q, p, -1.0, 0.0, h)
-        up, down = reach(q, p, 0.0, 1.0, h), reach(q, p, 0.0, -1.0, h)
-        if x + left > box[0] and x - right < box[2] and y + down > box[1] and y - up < box[3]:
-            best, extent = -np.inf, 0.0
+        nx, ny, depth, area = 0.0, 0.0, -1.0, 0.0
+        right, left = reach(q, p, -1.0, 0.0, h), reach(q, p, 1.0, 0.0, h)
+        up, down = reach(q, p, 0.0, -1.0, h), reach(q, p, 0.0, 1.0, h)
+        if x + right > box[0] and x - left < box[2] and y + up > box[1] and y - down < box[3]:
+            gap, extent = -np.inf, 0.0
             for k in range(len(faces)):
-                nx, ny = faces[k, 0], faces[k, 1]
-                e = reach(q, p, nx, ny, h)
-                s = nx * (x - faces[k, 2]) + ny * (y - faces[k, 3]) - e
-                if s > best:
-                    best, face, extent = s, k, e
+                ax, ay = faces[k, 0], faces[k, 1]
+                e = reach(q, p, ax, ay, h)
+                s = ax * (x - faces[k, 2]) + ay * (y - faces[k, 3]) - e
+                if s > gap:
+                    gap, nx, ny, extent = s, ax, ay, e
+            for j in range(4):
+                ax, ay = side(q, p, j)
+                far = -np.inf
+                for k in range(len(faces)):
+                    far = max(far, ax * faces[k, 2] + ay * faces[k, 3])
+                e = reach(q, p, ax, ay, h)
+                s = ax * x + ay * y - e - far
+                if s > gap:
+                    gap, nx, ny, extent = s, ax, ay, e
             F = q.F[p]
             J = 1.0 if small else (F[0] * F[3] - F[1] * F[2]) * F[4]
-            depth, area = -best, 0.5 * q.volume[p] * J / extent
-        return face, depth, area
+            depth, area = -gap, 0.5 * q.volume[p] * J / extent
+        return nx, ny, depth, area
 
     return meet
 
@@ -121,11 +156,10 @@ def make_touch(kind: str, small: bool) -> Any:
     def touch(q, grip, own, faces, box, velocity, friction, stiffness, h, dt):  # type: ignore[no-untyped-def]
         total = np.zeros(2)
         for p in range(len(q.mass)):
-            face, depth, area = meet(q, p, q.x[p, 0], q.x[p, 1], faces, box, h)
+            nx, ny, depth, area = meet(q, p, q.x[p, 0], q.x[p, 1], faces, box, h)
             if depth <= 0.0:
                 grip[p, 0] = grip[p, 1] = 0.0
                 continue
-            nx, ny = faces[face, 0], faces[face, 1]
             push = stiffness * area * depth
             slip = -ny * (q.v[p, 0] - velocity[0]) + nx * (q.v[p, 1] - velocity[1])
             hold = -ny * grip[p, 0] + nx * grip[p, 1] - stiffness * area * dt * slip

@@ -122,14 +122,14 @@ def shape_bounds(scene: Scene) -> list[tuple[Array, Array]] | None:
 
 # --- loops over the nodes of a box ------------------------------------------------------------------------------------------
 @njit(**OPTIONS)
-def clear(nodes: Any, box: Any, rows: Any) -> None:
+def clear(nodes: Any, first: int, end: int, box: Any, rows: Any) -> None:
     middle, last, base = rows
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
             start = (i * middle + j) * last - base
             for n in range(start + box[4], start + box[5]):
-                for k in range(nodes.shape[1]):
-                    nodes[n, k] = 0.0
+                for c in range(first, end):
+                    nodes[n, c] = 0.0
 
 
 @njit(**OPTIONS)
@@ -245,17 +245,6 @@ def part_again(nodes: Any, dim: int, partner: Any, lent: Any, count: int) -> Non
         nodes[best, MASS] -= lent[q]
         for c in range(VELOCITY, VELOCITY + 2 * dim):
             nodes[n, c] = nodes[best, c]
-
-
-@njit(**OPTIONS)
-def clear_columns(nodes: Any, first: int, end: int, box: Any, rows: Any) -> None:
-    middle, last, base = rows
-    for i in range(box[0], box[1]):
-        for j in range(box[2], box[3]):
-            start = (i * middle + j) * last - base
-            for n in range(start + box[4], start + box[5]):
-                for c in range(first, end):
-                    nodes[n, c] = 0.0
 
 
 @njit(**OPTIONS)

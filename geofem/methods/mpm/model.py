@@ -89,7 +89,7 @@ class ExplicitMpm:
         self.watch = Watch(scene, self.shape)
         self._gravity = [load for load in scene.loads if load.kind == "gravity"]
         self._body_loads = [load for load in scene.loads if load.kind == "body"]
-        self._contacts = [Contact(rigid) for rigid in scene.rigids]
+        self._contacts = [Contact(rigid, k) for k, rigid in enumerate(scene.rigids)]
         self._strayed = 0.0
         self._fastest = self._largest_speed()
         self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))

@@ -18,9 +18,13 @@ from geofem.methods.mpm.points import Body
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.scene import Array
 
+ROUGH = 10.0
+"""The largest coefficient of friction. With an infinite one a point that barely touches a face drags it with any force and, a hair
+away, with none: between the two there is no balance to be found. Pressed soil yields long before it slips at a slope of 84 degrees."""
+
 
 class Press:
-    """All rigid bodies against all points of a rank, one body after the other; ``forces`` (N, 2) are those of each rigid body."""
+    """All rigid bodies against all points of a rank, one body after the other; each ``Contact`` holds the force of its rigid body."""
 
     def __init__(self, contacts: list[Contact], bodies: list[Body], stiffness: list[float], h: float):
         self.contacts, self.bodies, self.stiffness, self.h = contacts, bodies, stiffness, h
@@ -40,7 +44,7 @@ class Press:
             for contact in self.contacts:
                 contact.force += press(
                     body.cloud, contact.grip(body), body.n, u[part], contact.faces, contact.box, contact.velocity,
-                    contact.friction, k, self.h, force[part], spring[part], grip[:, contact.columns],
+                    min(contact.friction, ROUGH), k, self.h, force[part], spring[part], grip[:, contact.columns],
                 )  # fmt: skip
         return force, spring
 
@@ -58,10 +62,9 @@ def make_press(kind: str, small: bool) -> Any:
     def press(q, grip, own, u, faces, box, moved, friction, stiffness, h, force, spring, new_grip):  # type: ignore[no-untyped-def]
         total = np.zeros(2)
         for p in range(own):
-            face, depth, area = meet(q, p, q.x[p, 0] + u[p, 0], q.x[p, 1] + u[p, 1], faces, box, h)
+            nx, ny, depth, area = meet(q, p, q.x[p, 0] + u[p, 0], q.x[p, 1] + u[p, 1], faces, box, h)
             if depth <= 0.0:
                 continue
-            nx, ny = faces[face, 0], faces[face, 1]
             k = stiffness * area
             push = k * depth
             slip = -ny * (u[p, 0] - moved[0]) + nx * (u[p, 1] - moved[1])

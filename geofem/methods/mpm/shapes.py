@@ -101,6 +101,8 @@ def bspline3(s: float, l: float, edge: int, last: int) -> Any:
     b, y = 2.0 / 3.0 - r * r * (1.0 - 0.5 * r), 2.0 / 3.0 - q * q * (1.0 - 0.5 * q)
     da, dz = -0.5 * q * q, 0.5 * r * r
     db, dy = r * (1.5 * r - 2.0), q * (2.0 - 1.5 * q)
+    if first < edge and first + 3 > last:  # a room of one cell has a node beyond each end
+        return first, (0.0, b + 2.0 * a - z, y + 2.0 * z - a, 0.0), (0.0, db + 2.0 * da - dz, dy + 2.0 * dz - da, 0.0)
     if first < edge:
         return first, (0.0, b + 2.0 * a, y - a, z), (0.0, db + 2.0 * da, dy - da, dz)
     if first + 3 > last:

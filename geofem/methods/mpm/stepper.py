@@ -67,8 +67,8 @@ class Stepper:
         self._marks[:] = 0
         self._faulty = [()] * self.threads
         self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
-        rows, dim, scheme = self.grid.rows, self.grid.dim, self.kind.scheme
-        self._over_nodes(lambda thread, box: g.clear(self.grid.nodes, box, rows))
+        rows, dim, scheme, columns = self.grid.rows, self.grid.dim, self.kind.scheme, self.grid.nodes.shape[1]
+        self._over_nodes(lambda thread, box: g.clear(self.grid.nodes, 0, columns, box, rows))
         if self.kind.transfer == "apic":
             keep, lattice = make_keep_moments(self.kind), self.grid.lattice
             self._over_points(lambda t, body, k, lo, hi: keep(body.cloud, body.arrays["spread"], lo, hi, lattice))
@@ -238,7 +238,7 @@ class Stepper:
         fused = self.kind.scheme == "usl" and not kind.cure
         W = 1 + 2 * dim
         if self.kind.scheme == "musl" and kind.transfer == "xpic":
-            self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
+            self._over_nodes(lambda t, box: g.clear(nodes, W, W + dim, box, rows))
         advance = [make_advance(kind, body.answer if fused else None) for body in self.bodies]
         self._over_points(
             lambda t, body, k, lo, hi: advance[k](
@@ -299,7 +299,7 @@ class Stepper:
             for body, out in zip(self.bodies, heard):
                 body.arrays["C"][: body.N] += share * out
             if r < self.order:
-                self._over_nodes(lambda t, box: g.clear_columns(nodes, W, W + dim, box, rows))
+                self._over_nodes(lambda t, box: g.clear(nodes, W, W + dim, box, rows))
                 self._over_points(
                     lambda t, body, k, lo, hi: tell(body.cloud._replace(v=heard[k]), lo, hi, self._nodes[t], lattice)
                 )
