@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +9,7 @@ import numpy as np
 import pytest
 
 import geofem
-from geofem import Result, scenes
+from geofem import Result
 from geofem.methods.mpm.shapes import SHAPES
 from geofem.methods.mpm.watch import Splitter
 from geofem.scene import Box, Load, Material, Probe, Region, Scene, Wall
@@ -121,14 +118,6 @@ def test_low_columns_run_as_far_as_grains_do(method: Method) -> None:
     assert result.checks["mass"] < 1e-12
 
 
-def test_rate_hardening_slows_a_heap() -> None:
-    """mu(I) has the strength of Mohr and Coulomb's law at rest, and more in motion."""
-    constant, rate = (
-        run("column_collapse", GIMP, n=10, flip=0.998, law=law).qoi["run_out"] for law in ("mohr_coulomb", "mu_i")
-    )
-    assert 0.85 * constant < rate < 0.99 * constant
-
-
 # --- water ------------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("method", [GIMP, CPDI], ids=named)
 def test_front_of_a_dam_break(method: Method) -> None:
@@ -150,42 +139,3 @@ def test_slide_runs_only_without_locking() -> None:
     locked, free = (run("slope_runout", GIMP, n=5, cure=cure) for cure in ("none", "cell"))
     assert free.qoi["run_out"] > 5 * locked.qoi["run_out"] > 0
     assert free.qoi["rest"] < 0.05, "it has come to rest"
-
-
-@pytest.mark.slow
-def test_slope_stands_at_a_factor_of_safety_above_one() -> None:
-    result = run("slope_runout", GIMP, n=4, cure="cell", f=1.1)
-    assert result.qoi["run_out"] < 0.01 and result.qoi["drop"] < 0.01
-
-
-# --- ranks and checkpoints --------------------------------------------------------------------------------------------
-STOP = """
-import sys
-from dataclasses import replace
-from pathlib import Path
-import geofem
-from geofem import runner, scenes
-folder, stop, resume = sys.argv[1], float(sys.argv[2]), sys.argv[3] == "resume"
-sample = runner.Run.sample
-def stopping(self):
-    sample(self)
-    self.stop = self.model.t >= stop * self.scene.t_end
-runner.Run.sample = stopping
-scene = replace(scenes.get("column_collapse")(), t_end=0.02)
-result = geofem.run(scene, "mpm-cpdi", n=5, split=1, out=Path(folder), resume=resume)
-assert result.status == ("partial" if stop < 1 else "ok"), result.message
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.mpi
-def test_a_flow_is_taken_up_by_another_number_of_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
-    """Three ranks begin and two go on where one went all the way. Short, as three ranks on two cores wait for each other's turn."""
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    geofem.run(replace(scenes.get("column_collapse")(), t_end=0.02), "mpm-cpdi", n=5, split=1, out=whole)
-    mpirun(3, "-c", STOP, str(parts), "0.5", "new")
-    mpirun(2, "-c", STOP, str(parts), "2", "resume")
-    expected, found = Result.load(whole), Result.load(parts)
-    assert found.work == expected.work and found.size == expected.size
-    for name, values in expected.history.items():
-        assert found.history[name] == pytest.approx(values, rel=1e-12, abs=1e-15), name
