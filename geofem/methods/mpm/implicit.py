@@ -13,20 +13,17 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from geofem.cost import phase
-from geofem.methods.mpm import answers, parallel, setting
+from geofem.methods.mpm import answers, setting
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.background import Background
-from geofem.methods.mpm.contact import Contact
+from geofem.methods.mpm.base import PointModel
 from geofem.methods.mpm.kind import Kind
 from geofem.methods.mpm.limits import Limits
 from geofem.methods.mpm.parts import carry_corners
 from geofem.methods.mpm.press import Press
-from geofem.methods.mpm.shapes import SHAPES
 from geofem.methods.mpm.system import System
-from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
-from geofem.scene import Array, Probe, Scene
+from geofem.scene import Array, Scene
 
 SMALLEST_STEP = 1e-3
 """A step is cut no further than this fraction of the first one."""
@@ -34,40 +31,26 @@ ROUNDS = 30
 """Solutions of one step until walls are settled."""
 
 
-class ImplicitMpm:
+class ImplicitMpm(PointModel):
     """Material points at rest on a background grid; see ``Mpm.build`` for the knobs."""
 
     def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, cure: bool, split: float, load_steps: int, tolerance: float,
                  penalty: float, plastic: bool):  # fmt: skip
-        self.scene, self.shape, self.comm = scene, SHAPES[shape], MPI.COMM_WORLD
-        self.t, self.h = 0.0, scene.length / n
+        kind = Kind(shape, scene.gdim, scene.plane == "axisymmetric", scene.strain == "small", "usl", "flip", False, True, cure)
+        super().__init__(scene, kind, scene.length / n, ppc, split)
         self.tolerance, self.plastic = tolerance, plastic
         self._dt = self._first_dt = scene.t_end / load_steps
         self.work = {"steps": 0, "newton": 0, "linear": 0, "cuts": 0, "point_steps": 0}
-        self.kind = Kind(
-            shape, scene.gdim, scene.plane == "axisymmetric", scene.strain == "small", "usl", "flip", False, True, cure
-        )
-        self.grid, self.bodies, seeds, self._bounds = setting.make_bodies(scene, self.kind, self.h, ppc)
-        mass = sum(float(body.own("mass").sum()) for body in self.bodies)
-        self.balance = answers.Balance(self.bodies, mass, spent=True, stress_first=False)
-        self.splitter, self.watch = Splitter(self.kind, self.shape, split), Watch(scene, self.shape)
-        self._contacts = [Contact(rigid, k) for k, rigid in enumerate(scene.rigids)]
+        self.balance = answers.Balance(self.bodies, self.mass, spent=True, stress_first=False)
         # the modulus of compression waves, of cells in contact and of nodes that hardly any point holds
         densities = [region.material.density or 1.0 for region in scene.regions]
         self._moduli = [rho * b.law.wave_speed(b.par, rho) ** 2 for b, rho in zip(self.bodies, densities)]
         self._penalty = penalty * max(self._moduli)
-        self._places = answers.Places(scene, seeds, self.comm)
         self._imbalance, self.least = 0.0, math.inf
         self._last = (0, 0)
-        self.slabs, last = setting.divide(self.comm, self.grid, self.bodies, self._halo())
-        self._lay_out(last)
-        self._exchange()
+        self._divide()
 
     # --- ranks --------------------------------------------------------------------------------------------------------
-    def _extent(self) -> float:
-        own = max((self.splitter.extent(body, self.h) for body in self.bodies), default=0.0)
-        return self.comm.allreduce(own, op=MPI.MAX)
-
     def _halo(self) -> int:
         """Cells beyond a slab that its points reach."""
         return 2 + math.ceil(self._extent() if self.shape.spread else self.shape.reach)
@@ -84,15 +67,8 @@ class ImplicitMpm:
         self.background = Background(self.grid, self.slabs, self.comm, ghosts=self.slabs.halo + 2)
 
     def _exchange(self) -> None:
-        """Hand over points that have left the rank's slab, and order all by their cells. Collective."""
-        if self.comm.size > 1:
-            with phase("exchange"):
-                if self.shape.spread and (halo := self._halo()) > self.slabs.halo:
-                    self.slabs = parallel.Slabs(self.comm, self.slabs.bounds, halo)
-                    self.grid.first, last = self.slabs.window(self.grid.shape[0])
-                    self._lay_out(last)
-                for body in self.bodies:
-                    parallel.exchange(body, setting.rows_of(body, self.grid), self.slabs)
+        """Hand points over as they must be, and order all by their cells. Collective."""
+        super()._exchange()
         for body in self.bodies:
             body.N = body.n
             body.sort(setting.cells_of(body, self.grid))
@@ -262,14 +238,8 @@ class ImplicitMpm:
         return self.comm.allreduce(sum(body.n for body in self.bodies))
 
     # --- what the model tells -----------------------------------------------------------------------------------------
-    def probe(self, probe: Probe) -> float:
-        """The value of a probe now. Collective."""
-        if probe.quantity == "reaction":
-            assert probe.of is not None
-            own = self.limits.reaction(probe.of, probe.component)
-            own += sum(float(c.force[probe.component]) for c in self._contacts if c.rigid.name == probe.of)
-            return self.comm.allreduce(own)
-        return self._places.probe(probe, self.bodies, self.t)
+    def _nodal_reaction(self, name: str, component: int) -> float:
+        return self.limits.reaction(name, component)
 
     def energy(self) -> dict[str, float]:
         """Work of the stresses, and of loads and supports since t = 0 (J per metre), by the trapezoidal rule."""
@@ -281,10 +251,6 @@ class ImplicitMpm:
 
     def functions(self) -> list[Any]:
         return []
-
-    def snapshot(self) -> dict[str, Any]:
-        """Points where they are now, in the order of their numbers, region after region; on rank 0."""
-        return answers.snapshot(self.bodies, self.kind, self.h, self._contacts, self.comm)
 
     def size(self) -> dict[str, int]:
         return {"dofs": self._last[0], "cells": self._last[1], "points": self._total()}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from dolfinx import fem
@@ -12,18 +11,16 @@ from mpi4py import MPI
 
 from geofem import materials
 from geofem.cost import phase
-from geofem.methods.mpm import answers, parallel, setting
+from geofem.methods.mpm import answers, setting
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.background import Background
+from geofem.methods.mpm.base import PointModel
 from geofem.methods.mpm.conditions import Held, Walls
-from geofem.methods.mpm.contact import Contact
 from geofem.methods.mpm.kind import Kind
-from geofem.methods.mpm.shapes import SHAPES
 from geofem.methods.mpm.stepper import Stepper
 from geofem.methods.mpm.timestep import NodalStep
-from geofem.methods.mpm.watch import Splitter, Watch
 from geofem.mistake import Breakdown
-from geofem.scene import Array, Probe, Scene
+from geofem.scene import Array, Scene
 
 LEAST_MASS = 1e-12
 """Nodes with less than this share of a point's mass are left out: their velocity would be rounding."""
@@ -46,7 +43,7 @@ TOO_FAST = 10.0
 """A speed of so many times that of a wave and the largest at the start together is no motion, but a step that is too long."""
 
 
-class ExplicitMpm:
+class ExplicitMpm(PointModel):
     """Material points on a background grid; see ``Mpm.build`` for the knobs.
 
     A scene without inertia is solved by dynamic relaxation: the load rises smoothly in a time of its own, and damped steps go
@@ -56,49 +53,39 @@ class ExplicitMpm:
     def __init__(self, scene: Scene, *, shape: str, n: int, ppc: int, transfer: str, flip: float, order: int, scheme: str,
                  cfl: float, damping: float, small_mass: float, cure: bool, split: float, load_steps: int, passages: float | None,
                  tolerance: float, sort_after: float, threads: int, dt_control: str):  # fmt: skip
-        self.scene, self.shape = scene, SHAPES[shape]
-        self.comm = MPI.COMM_WORLD
-        self.t = self._now = 0.0
+        loaded = bool(scene.rigids) or any(load.kind == "body" for load in scene.loads)
+        spent = any(materials.get(region.material.law).energy is None for region in scene.regions)
+        kind = Kind(
+            shape, scene.gdim, scene.plane == "axisymmetric", scene.strain == "small", scheme, transfer, loaded, spent, cure
+        )
+        super().__init__(scene, kind, scene.length / n, ppc, split)
+        self._now = 0.0
         self._target, self._time, self._calm = 0.0, 0.0, -1.0  # of the load that is being raised: calm >= 0
         self.work = {"steps": 0, "newton": 0, "linear": 0, "point_steps": 0, "remeshes": 0}
         self.cfl, self.order = cfl, order
         self.load_steps, self.passages, self.tolerance, self.sort_after = load_steps, passages, tolerance, sort_after
-        self.h = scene.length / n
-
-        axial, dim = scene.plane == "axisymmetric", scene.gdim
-        loaded = bool(scene.rigids) or any(load.kind == "body" for load in scene.loads)
-        laws = [materials.get(region.material.law) for region in scene.regions]
-        spent = any(law.energy is None for law in laws)
-        self.kind = Kind(shape, dim, axial, scene.strain == "small", scheme, transfer, loaded, spent, cure)
-        self.grid, self.bodies, seeds, bounds = setting.make_bodies(scene, self.kind, self.h, ppc)
-        self._bounds = bounds
         self._nodal = NodalStep(self.kind) if dt_control == "nodal" else None
-        self._started(seeds)
+        self._set_off()
         self.wave_speed = max(self._speeds)
-        low, high = g.bodies(scene, bounds)
+        low, high = g.bodies(scene, self._bounds)
         self._sounds = self._speeds_of_waves()
         self.passage = float(np.linalg.norm(high - low)) / self.wave_speed
-        mass = sum(float(body.own("mass").sum()) for body in self.bodies)
-        self.point_mass = mass / sum(body.n for body in self.bodies)
+        self.point_mass = self.mass / sum(body.n for body in self.bodies)
         self.stepper = Stepper(
             self.grid, self.bodies, self.kind, flip=flip, order=order, damping=damping, least_mass=LEAST_MASS * self.point_mass,
             small_mass=small_mass * self.point_mass, threads=threads,
         )  # fmt: skip
-        self.balance = answers.Balance(self.bodies, mass, spent, scheme == "usf")
-        self.splitter = Splitter(self.kind, self.shape, split)
-        self.watch = Watch(scene, self.shape)
+        self.balance = answers.Balance(self.bodies, self.mass, spent, scheme == "usf")
         self._gravity = [load for load in scene.loads if load.kind == "gravity"]
         self._body_loads = [load for load in scene.loads if load.kind == "body"]
-        self._contacts = [Contact(rigid, k) for k, rigid in enumerate(scene.rigids)]
         self._strayed = 0.0
         self._fastest = self._largest_speed()
         self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))
         self._unbalance = self._reactions = self._last_dt = 0.0
-        self._places = answers.Places(scene, seeds, self.comm)
         self._divide()
         self.stepper.compile()
 
-    def _started(self, seeds: list[Any]) -> None:
+    def _set_off(self) -> None:
         """Initial velocities of the points, and with apic their gradients (by differences)."""
         velocity = self.scene.initial_velocity
         for body in self.bodies:
@@ -126,21 +113,12 @@ class ExplicitMpm:
                 speeds[k] = max(speeds[k], body.law.stretched_speed(body.own("F"), body.par, region.material.density))
         return np.max(self.comm.allgather(speeds), axis=0).tolist()
 
-    def _weakening(self, t: float) -> float:
-        return self.scene.weakening(t) if self.scene.weakening is not None else 1.0
-
     def _largest_speed(self) -> float:
         """The largest squared speed of a point on any rank."""
         largest = max((float(np.max(np.sum(b.own("v") ** 2, axis=1), initial=0.0)) for b in self.bodies), default=0.0)
         return self.comm.allreduce(largest, op=MPI.MAX)
 
     # --- ranks --------------------------------------------------------------------------------------------------------
-    def _divide(self) -> None:
-        """Cut the grid into slabs, keep the points of this rank's slab and copies around it, and lay out its window of the grid."""
-        self.slabs, last = setting.divide(self.comm, self.grid, self.bodies, self._halo())
-        self._lay_out(last)
-        self._exchange()
-
     def _lay_out(self, last: int) -> None:
         """The nodes' arrays of the window that ends before the row ``last``, and the conditions on them."""
         per_row = int(np.prod(self.grid.shape[1:]))
@@ -160,20 +138,8 @@ class ExplicitMpm:
         reach = 1 + math.ceil(self._extent() if self.shape.spread else self.shape.reach)
         return stages * (2 * reach + 1) + (2 if self.kind.cure else 0) + (2 if self.stepper.small_mass > 0 else 0) + 1
 
-    def _extent(self) -> float:
-        """Half the largest extent of a domain (cells) on any rank."""
-        own = max((self.splitter.extent(body, self.h) for body in self.bodies), default=0.0)
-        return self.comm.allreduce(own, op=MPI.MAX)
-
     def _exchange(self) -> None:
-        if self.comm.size > 1:
-            with phase("exchange"):
-                if self.shape.spread and (halo := self._halo()) > self.slabs.halo:
-                    self.slabs = parallel.Slabs(self.comm, self.slabs.bounds, halo)
-                    self.grid.first, last = self.slabs.window(self.grid.shape[0])
-                    self._lay_out(last)
-                for body in self.bodies:
-                    parallel.exchange(body, setting.rows_of(body, self.grid), self.slabs)
+        super()._exchange()
         self.stepper.share_points()
 
     # --- steps --------------------------------------------------------------------------------------------------------
@@ -326,14 +292,8 @@ class ExplicitMpm:
         return self.splitter.total
 
     # --- what the model tells -----------------------------------------------------------------------------------------
-    def probe(self, probe: Probe) -> float:
-        """The value of a probe now. Collective."""
-        if probe.quantity == "reaction":
-            assert probe.of is not None
-            own = self.stepper.held.reaction(probe.of, probe.component) + self.stepper.walls.reaction(probe.of, probe.component)
-            own += sum(float(c.force[probe.component]) for c in self._contacts if c.rigid.name == probe.of)
-            return self.comm.allreduce(own)
-        return self._places.probe(probe, self.bodies, self.t)
+    def _nodal_reaction(self, name: str, component: int) -> float:
+        return self.stepper.held.reaction(name, component) + self.stepper.walls.reaction(name, component)
 
     def energy(self) -> dict[str, float]:
         """Kinetic energy of the points, stored energy or else work of the stresses, and work of loads and supports since t = 0 (J per
@@ -360,10 +320,6 @@ class ExplicitMpm:
         mesh = Background(self.grid, self.slabs, self.comm)
         space = fem.functionspace(mesh.mesh, ("Lagrange", 1, (self.grid.dim,)))
         return mesh, fem.Function(space, name="velocity")
-
-    def snapshot(self) -> dict[str, Any]:
-        """Points where they are now, in the order of their numbers, region after region; on rank 0."""
-        return answers.snapshot(self.bodies, self.kind, self.h, self._contacts, self.comm)
 
     def size(self) -> dict[str, int]:
         nodes, occupied = self._active()

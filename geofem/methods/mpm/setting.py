@@ -1,4 +1,4 @@
-"""What the explicit and the implicit solver have in common: how a scene becomes bodies on a grid, and which cells their points are in."""
+"""How a scene becomes bodies on a grid, which cells their points are in, and how the ranks divide, gather and scatter them."""
 
 from __future__ import annotations
 
