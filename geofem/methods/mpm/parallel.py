@@ -8,9 +8,11 @@ rank alone would compute, to the last bit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
+from numba import njit
 
 from geofem.methods.mpm.points import KEPT, Body
 from geofem.mistake import Mistake
@@ -56,29 +58,44 @@ def exchange(body: Body, row: Array, slabs: Slabs) -> None:
 
     row : (n,) the cell along x of each of the rank's own points.
     """
-    comm, size, rank = slabs.comm, slabs.comm.size, slabs.comm.rank
+    comm, rank = slabs.comm, slabs.comm.rank
     body.N = body.n
-    owner = slabs.owner(row)
-    packets = []
-    for r in range(size):
-        low, high = slabs.bounds[r] - slabs.halo, slabs.bounds[r + 1] + slabs.halo
-        wanted = (
-            np.flatnonzero((row >= low) & (row < high))
-            if r != rank
-            else np.flatnonzero((owner != rank) & (row >= low) & (row < high))
-        )
-        packets.append(pack(body.pick(wanted), row[wanted]))
-    kept = packets[rank]
-    packets[rank] = kept[:0]
-    received = alltoall(comm, packets)
-    received = np.concatenate([received, kept])
-    drop(body, owner != rank)
-    rows, fields = unpack(received, body)
-    ours = slabs.owner(rows) == rank
-    body.add({name: values[ours] for name, values in fields.items()}, own=True)
-    body.add({name: values[~ours] for name, values in fields.items()}, own=False)
+    wanted, counts, gone = sort_out(row, slabs.bounds, slabs.halo, rank)
+    received = alltoall(comm, pack(body, wanted, row), counts)
+    drop(body, gone)
+    ours = slabs.owner(np.ascontiguousarray(received[:, 0]).view(np.int64)) == rank
+    unpack(body, received, np.concatenate([np.flatnonzero(ours), np.flatnonzero(~ours)]))
+    body.n = body.N - int((~ours).sum())
     body.settle()
     body.reorder()
+
+
+@njit(cache=True)
+def sort_out(row: Any, bounds: Any, halo: int, rank: int) -> Any:
+    """Which points each rank must have, its own apart: their numbers, rank after rank, how many for each, and the ``gone`` (n,) that
+    have left this rank's cells. A rank keeps copies of those of its own that have left and still bear on its points."""
+    size = len(bounds) - 1
+    low = bounds[rank] if rank > 0 else -(1 << 62)
+    high = bounds[rank + 1] if rank < size - 1 else 1 << 62
+    counts, gone = np.zeros(size, np.int64), np.zeros(len(row), np.bool_)
+    wanted, fill = np.empty(0, np.int64), np.zeros(size, np.int64)
+    for sweep in range(2):
+        if sweep == 1:
+            wanted = np.empty(counts.sum(), np.int64)
+            fill[1:] = np.cumsum(counts)[:-1]
+        for p in range(len(row)):
+            i = row[p]
+            if low + halo <= i < high - halo:
+                continue  # nobody else's
+            gone[p] = not low <= i < high
+            for r in range(size):
+                if bounds[r] - halo <= i < bounds[r + 1] + halo and (r != rank or gone[p]):
+                    if sweep == 0:
+                        counts[r] += 1
+                    else:
+                        wanted[fill[r]] = p
+                        fill[r] += 1
+    return wanted, counts, gone
 
 
 def drop(body: Body, which: Array) -> None:
@@ -93,39 +110,51 @@ def drop(body: Body, which: Array) -> None:
     body.n = body.N = stay
 
 
-def pack(fields: dict[str, Array], row: Array) -> Array:
-    """Points as rows of numbers; integers keep their bits."""
-    columns = [row.astype(np.int64).view(np.float64)[:, None]]
+def columns(body: Body) -> list[tuple[Array, int, int]]:
+    """Each array that a point takes along, as rows of numbers (integers keep their bits), and its columns in a table of points."""
+    out, first = [], 1
     for name in KEPT:
-        values = np.ascontiguousarray(fields[name])
-        width = int(np.prod(values.shape[1:]))
-        columns.append((values.view(np.float64) if values.dtype == np.int64 else values).reshape(len(row), width))
-    return np.hstack(columns)
-
-
-def unpack(table: Array, like: Body) -> tuple[Array, dict[str, Array]]:
-    """What ``pack`` packed."""
-    row = np.ascontiguousarray(table[:, 0]).view(np.int64)
-    fields, at = {}, 1
-    for name in KEPT:
-        array = like.arrays[name]
+        array = body.arrays[name]
         width = int(np.prod(array.shape[1:]))
-        values = np.ascontiguousarray(table[:, at : at + width])
-        at += width
-        fields[name] = (
-            values.view(np.int64).ravel() if array.dtype == np.int64 else values.reshape(len(table), *array.shape[1:])
-        )
-    return row, fields
+        rows = (array.view(np.float64) if array.dtype == np.int64 else array).reshape(len(array), width)
+        out.append((rows, first, first + width))
+        first += width
+    return out
 
 
-def alltoall(comm: MPI.Intracomm, packets: list[Array]) -> Array:
-    """Rows sent to each rank -> the rows received, in the order of the ranks."""
-    width = packets[0].shape[1]
-    counts = np.array([len(packet) for packet in packets], np.int64)
+def pack(body: Body, which: Array, row: Array) -> Array:
+    """Points as rows of numbers, the first of which is the cell along x."""
+    found = columns(body)
+    table = np.empty((len(which), found[-1][2]))
+    table[:, 0] = row[which].view(np.float64)
+    for rows, first, _ in found:
+        copy_rows(rows, which, 0, table, first, 0, rows.shape[1])
+    return table
+
+
+def unpack(body: Body, table: Array, which: Array) -> None:
+    """Append the points ``which`` of a table to the body's."""
+    body.make_room(body.N + len(which))
+    for rows, first, end in columns(body):
+        copy_rows(table, which, first, rows, 0, body.N, end - first)
+    body.N += len(which)
+
+
+@njit(cache=True)
+def copy_rows(source: Any, which: Any, first: int, target: Any, to: int, row: int, width: int) -> None:
+    """Copy ``width`` columns of some rows of an array into the rows of another from ``row`` on."""
+    for k in range(len(which)):
+        for c in range(width):
+            target[row + k, to + c] = source[which[k], first + c]
+
+
+def alltoall(comm: MPI.Intracomm, table: Array, counts: Array) -> Array:
+    """Rows for each rank, ``counts`` of them, rank after rank -> the rows received, in the order of the ranks."""
+    width = table.shape[1]
     arriving = np.empty_like(counts)
     comm.Alltoall(counts, arriving)
     out = np.empty((int(arriving.sum()), width))
-    comm.Alltoallv([np.concatenate(packets), counts * width, MPI.DOUBLE], [out, arriving * width, MPI.DOUBLE])
+    comm.Alltoallv([table, counts * width, MPI.DOUBLE], [out, arriving * width, MPI.DOUBLE])
     return out
 
 
