@@ -168,7 +168,7 @@ SAMPLE = [
     points("vortex", "mpm-linear", (4, 8, 16)),
     points("vortex", "mpm-cpdi", (8, 16)),
 ]
-"""What ``geofem compare`` runs when nothing is asked for: about a minute and a half with nothing compiled. Cook's membrane shows orders
+"""What ``geofem compare`` runs when nothing is asked for: about two minutes with nothing compiled. Cook's membrane shows orders
 of convergence (A) and locking (D), the falling beam shows finite elements and points with domains converge where classical material
 points do not, and the vortex where these die."""
 
