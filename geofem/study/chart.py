@@ -202,8 +202,8 @@ def draw_panel(axes: Axes, group: Sequence[Row], measure: str, budget: str, refe
     axes.set_ylabel(
         f"{measure} ({unit})" if banded and unit not in (None, "-") else measure if banded else f"relative error of {measure}"
     )
-    axes.xaxis.set_major_formatter("{x:g}" if budget == "cpu" else LogFormatterMathtext())
     left, right = axes.get_xlim()
+    axes.xaxis.set_major_formatter("{x:g}" if budget == "cpu" or right / left < 100 else LogFormatterMathtext())
     axes.xaxis.set_minor_formatter(between("235" if right / left < 10 else "25") if right / left < 100 else NullFormatter())
 
 
