@@ -75,15 +75,15 @@ class Cutter:
 
     def __init__(self, grid: Grid, lines: Lines, touch: Touch, tips: Array):
         self.grid, self.lines, self.touch, self.tips = grid, lines, touch, tips
-        self._place = np.full(len(grid.T), -1, np.int64)
-        self._place[touch.cells] = np.arange(len(touch.cells))
+        self.place = np.full(len(grid.T), -1, np.int64)
+        self.place[touch.cells] = np.arange(len(touch.cells))
 
     def triangles(self, cells: Array, kind: Array) -> Triangles:
         """The triangles of the cells (m,); kind (m,) is ONE, FAR or NEAR, and POLAR around a tip unless it is ONE."""
         apex, polar = nearest_tips(cells, self.grid.X, self.grid.T, self.grid.size, self.tips, CLOSE)
         return cut_cells(
             cells, kind, apex, polar & (kind != ONE), self.grid.X, self.grid.T,
-            self.lines.points, self._place, self.touch.start, self.touch.segment,
+            self.lines.points, self.place, self.touch.start, self.touch.segment,
         )  # fmt: skip
 
     def rule(self, cells: Array, graded: Array | None = None, degrees: Degrees | None = None) -> Rule:

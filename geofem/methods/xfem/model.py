@@ -1,0 +1,282 @@
+"""The model behind method ``xfem``: a linear elastic body with cracks, solved on a mesh that knows nothing of them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from dolfinx import fem, mesh
+from mpi4py import MPI
+
+from geofem.core import snapshot
+from geofem.core.conditions import Loads
+from geofem.core.forms import Forms, Template
+from geofem.core.mesh import Body, facets
+from geofem.cost import phase
+from geofem.methods.xfem import sif
+from geofem.methods.xfem.basis import World, blocks, fields_at
+from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of, sides_of
+from geofem.methods.xfem.fields import kolosov
+from geofem.methods.xfem.geometry import Tips, cells_at, distance_to, find_tips, polylines, touching
+from geofem.methods.xfem.grid import Grid
+from geofem.methods.xfem.rules import Cutter, Degrees, Rule
+from geofem.methods.xfem.supports import Supports, boundary_edges
+from geofem.methods.xfem.system import Numbering, StandardBlock, System
+from geofem.mistake import Mistake
+from geofem.scene import Array, Probe, Scene
+
+FINE = Degrees(near=14, far=8, polar=16)
+"""Rules with which errors and intensity factors are integrated."""
+FROM_END, FROM_BOUNDARY = 0.45, 0.7
+"""The radius around a tip is at most this part of the distance to the crack's other end, and to the boundary."""
+RING = 1.25
+"""Radius of the ring of the interaction integral, as a multiple of that of the enrichment."""
+
+
+class XfemModel:
+    """A scene with cracks: the system of the present cracks, and its solution step after step.
+
+    Parameters
+    ----------
+    choice : how tips are enriched, None for jumps only. radius : of the enrichment around a tip (m). steps : of the load.
+    """
+
+    def __init__(self, scene: Scene, template: Template, body: Body, choice: TipChoice | None, radius: float, steps: int):
+        self.scene, self.body, self.choice, self.radius = scene, body, choice, radius
+        self.comm = body.mesh.comm
+        self.t, self._dt = 0.0, scene.t_end / steps
+        self.work = {"steps": 0}
+        self.forms = Forms(body.mesh, template, body.regions)
+        self.forms.set_parameters([region.material for region in scene.regions])
+        self.space = self.forms.space
+        self.grid = Grid(self.space, body.regions)
+        constants = [self.forms.constants[f"{name}{i}"].value for name in ("lam", "mu") for i in range(len(scene.regions))]
+        self.lam, self.mu = np.array(constants, float).reshape(2, -1)[:, self.grid.region]
+        self._kappas = np.array([kolosov(r.material.parameters["nu"], scene.plane) for r in scene.regions])
+        with phase("assembly"):
+            self.standard = StandardBlock(self.forms.form("tangent"), self.grid)
+        self.loads = Loads(scene, self.forms, body)
+        mesh_ = body.mesh
+        self.boundary = boundary_edges(self.grid, mesh.exterior_facet_indices(mesh_.topology))
+        self.lines = polylines(scene.cracks)
+        self.build()
+        self.x = np.zeros(len(self.numbering.to_global))
+        self._internal = np.zeros(self.numbering.owned)
+        self._energy = {"kinetic": 0.0, "internal": 0.0, "external": 0.0}
+        self._imbalance = 0.0
+
+    def build(self) -> None:
+        """All that depends on where the cracks are: cut cells, enriched nodes, dofs, the matrix. Collective."""
+        with phase("cut"):
+            lines = self.lines
+            self.tips = find_tips(self.grid, lines, self.boundary)
+            self.kappa = self._kappa_at(self.tips)
+            touch = touching(self.grid, lines)
+            self.cutter = Cutter(self.grid, lines, touch, self.tips.at)
+            self.radii = self._radii()
+            self.enrichment = Enrichment(self.grid, lines, self.tips, self.cutter, self.choice, self.radii, self.kappa)
+            self._parted = sides_of(self.cutter, len(lines.start) - 1)
+            entries, functions = self.enrichment.entries, self.enrichment.functions
+            self.world = World(self.grid.X, self.grid.T, entries, functions, lines, self.tips)
+            count = np.diff(entries.start)
+            cells = np.flatnonzero(count[self.grid.T].any(axis=1))
+            acting = self.acting(cells)
+            active = np.diff(acting.start) > 0
+            self.cells = cells[active]
+            self.acting_here = self.acting(self.cells)
+            self._refuse_loads()
+            self.rule = self.cutter.rule(self.cells, self._has_tip_functions(self.acting_here))
+            self.numbering = Numbering(self.grid, self.enrichment)
+            self.supports = Supports(self.scene, self.body, self.grid, self.enrichment, self.world, self.numbering)
+        with phase("assembly"):
+            enriched = blocks(self.rule, self.acting_here, self.world, self.lam, self.mu)
+        self.system = System(self.numbering, self.standard, enriched, self.supports.dofs, self.space)
+
+    def acting(self, cells: Array) -> CellEntries:
+        """The entries that act in the given cells."""
+        return entries_of(
+            cells, self.grid.T, self.enrichment.entries, self.enrichment.functions, self.cutter.place, self._parted
+        )
+
+    def _has_tip_functions(self, acting: CellEntries) -> Array:
+        """Which of the cells have functions of a tip."""
+        is_tip = self.enrichment.functions.kind[self.enrichment.entries.function[acting.entry]] != JUMP
+        owner = np.repeat(np.arange(len(acting.start) - 1), np.diff(acting.start))
+        return np.bincount(owner[is_tip], minlength=len(acting.start) - 1) > 0
+
+    def _kappa_at(self, tips: Tips) -> Array:
+        """Kolosov's constant of the region around each tip, the same on every rank. Collective."""
+        regions = [self.grid.region[cells_at(self.grid, at)].max(initial=-1) for at in tips.at]
+        found = self.comm.allreduce(np.array(regions, np.int64), op=MPI.MAX)
+        return self._kappas[found] if len(found) else np.empty(0)
+
+    def _radii(self) -> Array:
+        """The radius of the enrichment of each tip, which stays off the crack's other end and off the boundary. Collective."""
+        ends = self.lines.start
+        out = []
+        for c, at in zip(self.tips.crack, self.tips.at):
+            first, last = self.lines.points[ends[c]], self.lines.points[ends[c + 1] - 1]
+            boundary = self.comm.allreduce(distance_to(at, self.grid.X[self.boundary]), op=MPI.MIN)
+            out.append(min(self.radius, FROM_END * float(np.hypot(*(last - first))), FROM_BOUNDARY * boundary))
+        return np.array(out)
+
+    def _refuse_loads(self) -> None:
+        """Raise ``Mistake`` for loads that would act on enriched dofs, whose forces are not there yet."""
+        for load in self.scene.loads:
+            if load.where is None:
+                raise Mistake(f"scene {self.scene.name}: xfem has no {load.kind} on cracked bodies yet; use tractions")
+            edges = boundary_edges(self.grid, facets(self.body, load.where, load.kind))
+            cells = np.flatnonzero(np.isin(self.grid.T, edges).sum(axis=1) >= 2)
+            if self.comm.allreduce(bool(np.isin(cells, self.cells).any()), op=MPI.LOR):
+                raise Mistake(f"scene {self.scene.name}: a {load.kind} acts within the enrichment of a crack; lower the radius")
+
+    # --- the step -------------------------------------------------------------------------------------------------
+    def dt(self) -> float:
+        return self._dt
+
+    def step(self, dt: float) -> None:
+        """Advance by dt. Raises ``Breakdown`` if the matrix is singular."""
+        self._balance(self.t + dt)
+        self.t += dt
+        self.work["steps"] += 1
+
+    def _force(self, t: float) -> Array:
+        """The external forces at the owned dofs, in global order."""
+        force = np.zeros(self.numbering.owned)
+        force[: 2 * self.grid.owned] = self.loads.external(t)[: 2 * self.grid.owned]
+        return force
+
+    def _balance(self, t: float) -> None:
+        """Solve for the state at t, and count the work done on the way to it."""
+        force = self._force(t)
+        with phase("supports"):
+            values = self.supports.values(t)
+        x = self.system.solve(force, values)
+        internal = self.system.internal_force(x)
+        owned = self.numbering.local_owned
+        change = x[owned] - self.x[owned]
+        # what loads and supports do together: the internal force, but for what is left out of balance
+        self._energy["external"] += 0.5 * self.system.dot(internal + self._internal, change)
+        self._energy["internal"] = 0.5 * self.system.dot(internal, x[owned])
+        left = internal - force
+        left[self.system.held_places] = 0.0
+        size = np.sqrt(self.system.dot(internal, internal)) or 1.0
+        self._imbalance = max(self._imbalance, np.sqrt(self.system.dot(left, left)) / size)
+        self.x, self._internal, self.force = x, internal, force
+
+    # --- what the runner asks -------------------------------------------------------------------------------------
+    def probe(self, probe: Probe) -> float:
+        """The sampled number of a probe; see ``Probe`` for the quantities."""
+        if probe.quantity in ("KI", "KII"):
+            assert probe.at is not None
+            tip = int(np.hypot(*(self.tips.at - np.array(probe.at)).T).argmin())
+            return float(self.intensity(tip)[0 if probe.quantity == "KI" else 1])
+        if probe.quantity in ("displacement_error", "energy_error"):
+            return self._error(probe)
+        if probe.quantity == "displacement":
+            assert probe.at is not None
+            return self._at(np.array(probe.at, float))[0][probe.component]
+        if probe.quantity == "reaction":
+            support = next(s for s in self.scene.supports if s.name == probe.of)
+            dofs = self.supports.owned_of(support, probe.component)
+            reaction = (self._internal - self._force(self.t))[dofs].sum()
+            return float(self.comm.allreduce(reaction, op=MPI.SUM))
+        raise Mistake(f"probe {probe.name!r}: xfem does not measure {probe.quantity!r}")
+
+    def intensity(self, tip: int, radius: float | None = None) -> Array:
+        """K_I and K_II (2,) of a tip (Pa sqrt(m)), by a ring of the given radius (m). Collective."""
+        if self.t == 0.0:
+            return np.zeros(2)
+        with phase("intensity"):
+            radius = RING * self.radii[tip] if radius is None else radius
+            cells, q = sif.ring(self.grid, self.tips.at[tip], radius)
+            rule = self.cutter.rule(cells, degrees=FINE)
+            return sif.intensity(
+                self.grid, self.world, tip, self.kappa[tip], cells, q, rule, self.acting(cells), self.x, self.lam, self.mu
+            )
+
+    @cached_property
+    def _whole(self) -> tuple[Rule, CellEntries]:
+        """A fine rule over all cells."""
+        cells = np.arange(len(self.grid.T))
+        return self.cutter.rule(cells, degrees=FINE), self.acting(cells)
+
+    def _error(self, probe: Probe) -> float:
+        """See ``displacement_error`` and ``energy_error`` of ``Probe``. Collective."""
+        assert probe.exact is not None
+        if self.t == 0.0:
+            return 0.0
+        with phase("errors"):
+            rule, acting = self._whole
+            u, g = fields_at(rule, acting, self.world, self.x)
+            if probe.quantity == "displacement_error":
+                square = ((u - probe.exact(rule.x.T, self.t).T) ** 2).sum(axis=1)
+                total, area = self.comm.allreduce(np.array([rule.w @ square, rule.w.sum()]), op=MPI.SUM)
+                return float(np.sqrt(total / area))
+            cell = np.repeat(rule.cells, np.diff(rule.start))
+            d = g - np.moveaxis(probe.exact(rule.x.T, self.t), 2, 0)
+            density = 0.5 * np.einsum("nij,nij->n", sif.stress(d, self.lam[cell], self.mu[cell]), d)
+            return float(np.sqrt(self.comm.allreduce(rule.w @ density, op=MPI.SUM)))
+
+    def _at(self, x: Array) -> tuple[Array, Array]:
+        """Displacement (2,) and its gradient (2, 2) at a point, the + side of a crack it lies on. Collective.
+
+        Raises ``Mistake`` if the point is in no cell.
+        """
+        cells = cells_at(self.grid, x)[:1]
+        found = None
+        if len(cells):
+            rule = Rule(cells, np.array([0, 1]), x[None], np.ones(1))
+            u, g = fields_at(rule, self.acting(cells), self.world, self.x)
+            found = u[0], g[0]
+        for answer in self.comm.allgather(found):
+            if answer is not None:
+                return answer
+        raise Mistake(f"the point {tuple(x.tolist())} lies outside the mesh; give a point of the body")
+
+    def energy(self) -> dict[str, float]:
+        return dict(self._energy)
+
+    def checks(self) -> dict[str, float | None]:
+        """The largest force out of balance, relative; nothing else can drift."""
+        return {"mass": None, "momentum": self._imbalance, "volume": None}
+
+    def size(self) -> dict[str, int]:
+        cells = self.comm.allreduce(len(self.grid.T), op=MPI.SUM)
+        points = self.comm.allreduce(len(self.rule.w), op=MPI.SUM)
+        return {"dofs": self.numbering.total, "cells": cells, "points": points}
+
+    def savings(self) -> dict[str, float]:
+        return {}
+
+    def _nodal(self) -> Array:
+        return self.x[: 2 * len(self.grid.X)].reshape(-1, 2)
+
+    def snapshot(self) -> dict[str, Any]:
+        cells = np.arange(len(self.grid.T))
+        rule = self.cutter.rule(cells, np.zeros(len(cells), bool))
+        g = fields_at(rule, self.acting(cells), self.world, self.x)[1]
+        cell = np.repeat(cells, np.diff(rule.start))
+        sigma = sif.stress(g, self.lam[cell], self.mu[cell])
+        across = self.lam[cell] * (g[:, 0, 0] + g[:, 1, 1]) * (self.scene.plane != "plane_stress")
+        parts = np.stack([sigma[:, 0, 0], sigma[:, 1, 1], across, sigma[:, 0, 1]], axis=1) * rule.w[:, None]
+        mean = np.add.reduceat(parts, rule.start[:-1]) / self.grid.area[:, None] if len(cells) else np.empty((0, 4))
+        return snapshot.picture(self.space, self.grid.X, self._nodal(), {"stress": mean})
+
+    def functions(self) -> list[fem.Function]:
+        self._function.x.array[:] = self._nodal().ravel()
+        return [self._function]
+
+    @cached_property
+    def _function(self) -> fem.Function:
+        return fem.Function(self.space, name="displacement")
+
+    def state(self) -> dict[str, np.ndarray]:
+        """The time and the work done: a linear body without memory is solved anew when a run is resumed."""
+        return {"numbers": np.array([self.t, self._energy["external"], self._imbalance, self.work["steps"]])}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        self.t, external, self._imbalance, steps = state["numbers"].tolist()
+        self._balance(self.t)
+        self._energy["external"], self.work["steps"] = external, int(steps)
