@@ -54,7 +54,7 @@ class Xfem:
             heaviside (none).
         radius : of that enrichment (m); by default a fifth of the scene's length. It is cut to .45 of the distance to the other
             end of the crack and .7 of that to the boundary.
-        grading : exponent with which cells shrink towards the scene's singular points; 3 by default.
+        grading : exponent with which cells shrink towards the scene's singular points; 2 by default.
         steps : of the load.
 
         Raises ``Mistake`` for knobs out of range.
@@ -67,7 +67,7 @@ class Xfem:
         radius = RADIUS * scene.length if radius is None else radius
         if not radius > 0:
             raise Mistake(f"knob radius = {radius}: the radius of the enrichment is positive (m)")
-        grading = (3.0 if scene.singular else 1.0) if grading is None else grading
+        grading = (2.0 if scene.singular else 1.0) if grading is None else grading
         if not grading >= 1:
             raise Mistake(f"knob grading = {grading}: is an exponent of at least 1 (uniform cells)")
         for region in scene.regions:
