@@ -5,6 +5,8 @@ Each rank numbers its standard dofs first and its enriched ones after them; an e
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
@@ -14,6 +16,7 @@ from geofem.core.solvers import LinearSolver
 from geofem.cost import phase
 from geofem.methods.xfem.enrichment import Enrichment
 from geofem.methods.xfem.grid import Grid
+from geofem.mistake import Breakdown
 from geofem.scene import Array
 
 LANCZOS = 60
@@ -166,7 +169,10 @@ class System:
         return float(self.comm.allreduce(float(a @ b), op=MPI.SUM))
 
     def condition(self) -> float:
-        """Condition number of the scaled matrix, by Lanczos' method on it and on its inverse (two digits). Collective."""
+        """Condition number of the scaled matrix, by Lanczos' method on it and on its inverse (two digits). Collective.
+
+        Infinite where the factors are too poor to solve with.
+        """
         first, second = self.mat.createVecs()
 
         def multiply(x: Array) -> Array:
@@ -174,11 +180,13 @@ class System:
             self.mat.mult(first, second)
             return second.array.copy()
 
-        return self._largest(multiply) * self._largest(self._solver.solve)
+        try:
+            return self._largest(multiply) * self._largest(self._solver.solve)
+        except Breakdown:
+            return np.inf
 
-    def _largest(self, apply: object) -> float:
+    def _largest(self, apply: Callable[[Array], Array]) -> float:
         """The largest eigenvalue of a symmetric operator on owned dofs (Lanczos 1950)."""
-        assert callable(apply)
         v = np.random.default_rng(self.comm.rank).standard_normal(self.numbering.owned)
         v /= np.sqrt(self.dot(v, v))
         before, beta = np.zeros_like(v), 0.0
