@@ -24,7 +24,7 @@ from geofem.scene import Crack, Load, Material, Measure, Polygon, Probe, Referen
 from geofem.scenes._parts import all_of, at_least, at_most, check_number
 
 E, NU = 1.0, 0.3
-PIECE = 0.125
+PIECE = 0.25
 """Length of the sides that are held at the corner."""
 
 
@@ -42,15 +42,16 @@ def scene(*, a: float = 0.5, H: float = 2.0) -> Scene:
     intensity = None
     if known is not None and known.value is not None:
         intensity = Reference(known.kind, known.source, known.value * scale)
-    # the middle of a side is a corner of an unstructured mesh, which a plain rectangle would not get
-    corners = ((0.0, -0.5 * H), (1.0, -0.5 * H), (1.0, 0.0), (1.0, 0.5 * H), (0.0, 0.5 * H))
-    bottom, top, right = at_most(1, -0.5 * H), at_least(1, 0.5 * H), at_least(0, 1.0)
+    low, high = -0.5 * H, 0.5 * H
+    # the held pieces end at corners, so that a mesh has sides there
+    corners = ((0.0, low), (1.0 - PIECE, low), (1.0, low), (1.0, low + PIECE), (1.0, high), (0.0, high))
+    bottom, top, right = at_most(1, low), at_least(1, high), at_least(0, 1.0)
     return Scene(
         name="edge_crack",
         regions=(Region("plate", Polygon(corners), Material("linear_elastic", 1.0, {"E": E, "nu": NU})),),
         length=1.0,
         supports=(
-            Support("corner_x", all_of(right, at_most(1, -0.5 * H + PIECE)), (0,)),
+            Support("corner_x", all_of(right, at_most(1, low + PIECE)), (0,)),
             Support("corner_y", all_of(bottom, at_least(0, 1.0 - PIECE)), (1,)),
         ),
         loads=(Load("traction", (0.0, 1.0), where=top), Load("traction", (0.0, -1.0), where=bottom)),

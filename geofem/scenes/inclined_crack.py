@@ -25,10 +25,10 @@ from geofem.scenes._parts import all_of, at_least, at_most, check_number
 
 E, NU = 1.0, 0.3
 WIDTH, HEIGHT = 20.0, 40.0
-CORNERS = ((-10.0, -20.0), (10.0, -20.0), (10.0, 0.0), (10.0, 20.0), (-10.0, 20.0), (-10.0, 0.0))
-"""The middles of the sides are corners of an unstructured mesh, which a plain rectangle would not get."""
-PIECE = 2.5
+PIECE = 5.0
 """Length of the sides that are held at the corner."""
+CORNERS = ((-10.0, -20.0), (10.0 - PIECE, -20.0), (10.0, -20.0), (10.0, -20.0 + PIECE), (10.0, 20.0), (-10.0, 20.0))
+"""The held pieces end at corners, so that a mesh has sides there."""
 
 
 def known(name: str, beta: float) -> Reference | None:

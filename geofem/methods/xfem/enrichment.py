@@ -28,6 +28,8 @@ from geofem.scene import Array
 JUMP, MODES, BRANCHES = range(3)
 WIDTH = np.array([2, 2, 8])
 """Dofs of an entry of each kind."""
+TIE = 1e-9
+"""Nodes of a regular mesh often lie on the very circle; rounding must not choose among them."""
 LEAST = 1e-10
 """A node carries a jump only if more than this part of its support lies on the other side."""
 
@@ -131,7 +133,7 @@ class Enrichment:
         grid, tips = self.grid, self.tips
         inside = held.copy()
         if choice.disc:
-            inside |= np.hypot(*(grid.X - tips.at[t]).T) < radius
+            inside |= np.hypot(*(grid.X - tips.at[t]).T) < (1.0 + TIE) * radius
         chosen = inside
         if choice.ramp:
             cells = np.flatnonzero(inside[grid.T].any(axis=1))

@@ -34,8 +34,10 @@ class Grid:
         self.comm = space.mesh.comm
         self.map = space.dofmap.index_map
         self.owned = self.map.size_local
-        self.X = space.tabulate_dof_coordinates()[:, :2].copy()
         self.T = np.array(space.dofmap.list, np.int64)
+        # not the positions that dolfinx pushes forward for its dofs: their rounding depends on the cell, and so on the ranks
+        self.X = np.zeros((self.owned + self.map.num_ghosts, 2))
+        self.X[self.T] = space.mesh.geometry.x[space.mesh.geometry.dofmaps[0]][:, :, :2]
         a, b, c = (self.X[self.T[:, k]] for k in range(3))
         double = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
         turned = double < 0

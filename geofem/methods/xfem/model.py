@@ -107,9 +107,8 @@ class XfemModel:
 
     def _kappa_at(self, tips: Tips) -> Array:
         """Kolosov's constant of the region around each tip, the same on every rank. Collective."""
-        regions = [self.grid.region[cells_at(self.grid, at)].max(initial=-1) for at in tips.at]
-        found = self.comm.allreduce(np.array(regions, np.int64), op=MPI.MAX)
-        return self._kappas[found] if len(found) else np.empty(0)
+        mine = [int(self.grid.region[cells_at(self.grid, at)].max(initial=-1)) for at in tips.at]
+        return np.array([self._kappas[self.comm.allreduce(region, op=MPI.MAX)] for region in mine])
 
     def _radii(self) -> Array:
         """The radius of the enrichment of each tip, which stays off the crack's other end and off the boundary. Collective."""

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from geofem.methods.xfem.basis import World, fields_at
-from geofem.methods.xfem.enrichment import CellEntries
+from geofem.methods.xfem.enrichment import TIE, CellEntries
 from geofem.methods.xfem.fields import modes_at
 from geofem.methods.xfem.grid import Grid
 from geofem.methods.xfem.rules import Rule
@@ -30,7 +30,7 @@ def stress(g: Array, lam: Array, mu: Array) -> Array:
 
 def ring(grid: Grid, at: Array, radius: float) -> tuple[Array, Array]:
     """The cells that the circle around a tip passes, and the nodal weights q (nodes,): 1 inside of it, 0 outside."""
-    q = (np.hypot(*(grid.X - at).T) < radius).astype(float)
+    q = (np.hypot(*(grid.X - at).T) < (1.0 + TIE) * radius).astype(float)
     inside = q[grid.T].sum(axis=1)
     return np.flatnonzero((inside > 0) & (inside < 3)), q
 

@@ -107,7 +107,7 @@ class System:
         rows, columns, values = standard.triplets(self.numbering)
         extra_rows, extra_columns = (self.numbering.to_global[part] for part in blocks[:2])
         mat = PETSc.Mat().create(self.comm)
-        mat.setSizes((self.numbering.owned, self.numbering.total))
+        mat.setSizes([[self.numbering.owned, self.numbering.total]] * 2)
         mat.setType("aij")
         index = (np.concatenate(pair).astype(PETSc.IntType) for pair in ((rows, extra_rows), (columns, extra_columns)))
         mat.setPreallocationCOO(*index)
