@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import math
 
-
 from geofem.mistake import Mistake
 from geofem.scene import Array, Box, Crack, Material, Measure, Point, Probe, Reference, Region, Scene, Support
 from geofem.scenes._parts import any_of, at_least, at_most, check_number
@@ -82,5 +81,3 @@ def scene(*, tip: Point = (0.5037, 0.5071), angle: float = 0.0, KI: float = 1.0,
         dimensionless=True,
         knobs={"tip": tip, "angle": angle, "KI": KI, "KII": KII},
     )
-
-

@@ -43,7 +43,7 @@ class TipChoice:
     disc: bool
 
 
-TIPS = {
+TIPS: dict[str, TipChoice | None] = {
     "modes": TipChoice(MODES, ramp=True, disc=True),
     "branches": TipChoice(BRANCHES, ramp=False, disc=True),
     "corrected": TipChoice(BRANCHES, ramp=True, disc=True),
@@ -178,9 +178,7 @@ class CellEntries(NamedTuple):
 
 
 @kernel
-def entries_of(
-    cells: Array, T: Array, entries: Entries, functions: Functions, place: Array, parted: Array
-) -> CellEntries:
+def entries_of(cells: Array, T: Array, entries: Entries, functions: Functions, place: Array, parted: Array) -> CellEntries:
     """The entries that are not zero in the given cells.
 
     place : (cells,) row of each cell in ``parted``, -1 if no crack touches it. parted : (touched cells, cracks) of ``sides_of``.

@@ -73,10 +73,10 @@ def find_tips(grid: Grid, lines: Lines, boundary: Array) -> Tips:
             if any(h for h, _ in answers) and not any(m for _, m in answers):
                 axis = at - lines.points[inner]
                 found.append((at, axis / np.hypot(*axis), turn, c, end))
-    at, axis, turn, crack, point = zip(*found) if found else ([], [], [], [], [])
+    columns = list(zip(*found)) or [()] * 5
     return Tips(
-        np.array(at).reshape(-1, 2), np.array(axis).reshape(-1, 2), np.array(turn, float),
-        np.array(crack, np.int64), np.array(point, np.int64),
+        np.array(columns[0], float).reshape(-1, 2), np.array(columns[1], float).reshape(-1, 2),
+        np.array(columns[2], float), np.array(columns[3], np.int64), np.array(columns[4], np.int64),
     )  # fmt: skip
 
 

@@ -62,7 +62,7 @@ class XfemModel:
         self.lines = polylines(scene.cracks)
         self.build()
         self.x = np.zeros(len(self.numbering.to_global))
-        self._internal = np.zeros(self.numbering.owned)
+        self._internal, self._external = np.zeros(self.numbering.owned), np.zeros(self.numbering.owned)
         self._energy = {"kinetic": 0.0, "internal": 0.0, "external": 0.0}
         self._imbalance = 0.0
 
@@ -155,14 +155,15 @@ class XfemModel:
         internal = self.system.internal_force(x)
         owned = self.numbering.local_owned
         change = x[owned] - self.x[owned]
-        # what loads and supports do together: the internal force, but for what is left out of balance
-        self._energy["external"] += 0.5 * self.system.dot(internal + self._internal, change)
+        # loads, and reactions where the displacement is prescribed
+        external = force.copy()
+        external[self.system.held_places] = internal[self.system.held_places]
+        self._energy["external"] += 0.5 * self.system.dot(external + self._external, change)
         self._energy["internal"] = 0.5 * self.system.dot(internal, x[owned])
-        left = internal - force
-        left[self.system.held_places] = 0.0
+        left = internal - external
         size = np.sqrt(self.system.dot(internal, internal)) or 1.0
-        self._imbalance = max(self._imbalance, np.sqrt(self.system.dot(left, left)) / size)
-        self.x, self._internal, self.force = x, internal, force
+        self._imbalance = max(self._imbalance, float(np.sqrt(self.system.dot(left, left)) / size))
+        self.x, self._internal, self._external = x, internal, external
 
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:

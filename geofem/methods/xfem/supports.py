@@ -7,6 +7,9 @@ carry the linear interpolants of the given displacement. Tip functions vanish at
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
 import numpy as np
 from dolfinx import fem
 
@@ -22,6 +25,18 @@ SHORT = 1e-6
 """Where a crack leaves less than this part of an edge on one side, the displacement of that part is not prescribed."""
 INWARD = 1e-3
 """The displacement next to a crack is taken at this part of the way from the crack to the next node."""
+
+
+class CutEdge(NamedTuple):
+    """An edge that a crack cuts: its node with the jump and the one beyond the cut, a place (2,) just beyond the cut and the
+    share of the edge from there on, the jump's first local dof, and how much its function jumps across the cut."""
+
+    node: int
+    beyond: int
+    place: Array
+    share: float
+    dof: int
+    jump: float
 
 
 def boundary_edges(grid: Grid, found: Array) -> Array:
@@ -83,13 +98,13 @@ class Supports:
                 out.update((2 * n + component, v) for n, v in zip(nodes.tolist(), at.tolist()) if n < self.grid.owned)
             self._hold_tips(nodes, out)
             if cuts:
-                near = value(np.array([place for _, _, place, _, _ in cuts]))
-                far = value(self._positions[[j for _, j, _, _, _ in cuts]])
-                own = value(self._positions[[i for i, _, _, _, _ in cuts]])
-                for (_, _, _, share, (dof, jump)), v_near, v_far, v_own in zip(cuts, near, far, own):
-                    continued = v_far + (v_near - v_far) / share
+                near = value(np.array([cut.place for cut in cuts]))
+                far = value(self._positions[[cut.beyond for cut in cuts]])
+                own = value(self._positions[[cut.node for cut in cuts]])
+                for cut, v_near, v_far, v_own in zip(cuts, near, far, own):
+                    continued = v_far + (v_near - v_far) / cut.share
                     for component in support.components:
-                        sent[int(self.numbering.to_global[dof + component])] = (continued - v_own) / jump
+                        sent[int(self.numbering.to_global[cut.dof + component])] = (continued - v_own) / cut.jump
         first, owned = self.numbering.first, self.numbering.owned
         for part in self.grid.comm.allgather(sent):
             for number, v in part.items():
@@ -97,13 +112,15 @@ class Supports:
                     out[int(self.numbering.local_owned[number - first])] = float(v)
         return out
 
-    def _value(self, support: Support, t: float):  # type: ignore[no-untyped-def]
+    def _value(self, support: Support, t: float) -> Callable[[Array], Array]:
+        """The prescribed displacement at time t, as a function of positions (n, 2)."""
         if support.value is None:
             return lambda x: np.zeros(len(x))
         given = support.value
         return lambda x: np.broadcast_to(np.asarray(given(x.T, t), float), len(x))
 
     def _hold_tips(self, nodes: Array, out: dict[int, float]) -> None:
+        """Put zeros for the dofs of tip functions at the nodes into ``out``."""
         entries, functions = self.enrichment.entries, self.enrichment.functions
         for n in nodes[nodes < self.grid.owned].tolist():
             for e in range(entries.start[n], entries.start[n + 1]):
@@ -111,9 +128,8 @@ class Supports:
                 if kind != JUMP:
                     out.update((2 * len(self.grid.X) + int(entries.dof[e]) + j, 0.0) for j in range(WIDTH[kind]))
 
-    def _cut_edges(self, edges: Array):  # type: ignore[no-untyped-def]
-        """Of edges that a crack cuts: node i with the jump, node j beyond the cut, a place (2,) just beyond the cut, the share
-        of the edge from there to j, and the jump's first dof with the jump of its function across the cut."""
+    def _cut_edges(self, edges: Array) -> Iterator[CutEdge]:
+        """Those of the edges that a crack cuts, from the side of each node that carries its jump."""
         entries, functions = self.enrichment.entries, self.enrichment.functions
         lines, X = self.world.lines, self.grid.X
         for a, b in edges.tolist():
@@ -129,7 +145,7 @@ class Supports:
                         continue
                     place = cut + INWARD * (1.0 - cut)
                     dof = 2 * len(X) + int(entries.dof[e])
-                    yield i, j, X[i] + place * (X[j] - X[i]), 1.0 - place, (dof, 0.5 * (other - own))
+                    yield CutEdge(i, j, X[i] + place * (X[j] - X[i]), 1.0 - place, dof, 0.5 * (other - own))
 
 
 def crossing(a: Array, b: Array, polyline: Array) -> float | None:

@@ -86,7 +86,12 @@ class System:
     """
 
     def __init__(
-        self, numbering: Numbering, standard: StandardBlock, blocks: tuple[Array, Array, Array], held: Array, space: fem.FunctionSpace
+        self,
+        numbering: Numbering,
+        standard: StandardBlock,
+        blocks: tuple[Array, Array, Array],
+        held: Array,
+        space: fem.FunctionSpace,
     ):
         self.numbering, self.comm = numbering, space.mesh.comm
         with phase("assembly"):
