@@ -32,23 +32,33 @@ OUTSIDE = -0.1
 """Where the crack starts (x), so that it runs through the side."""
 
 
-def scene(*, tip: Point = (0.5037, 0.5071), angle: float = 0.0, KI: float = 1.0, KII: float = 0.0) -> Scene:
+def point(tip: Point | str) -> Point:
+    """The pair of numbers that a knob tells, also as text. Raises ``Mistake`` if it does not."""
+    try:
+        parts = tip.split(",") if isinstance(tip, str) else tip
+        x, y = (float(part) for part in parts)
+    except (TypeError, ValueError):
+        raise Mistake(f"scene williams: tip is a pair of numbers like 0.5,0.5, not {tip!r}") from None
+    return x, y
+
+
+def scene(*, tip: Point | str = (0.5037, 0.5071), angle: float = 0.0, KI: float = 1.0, KII: float = 0.0) -> Scene:
     """Knobs
 
-    tip : its place (x, y) in the square; default (0.5037, 0.5071).
+    tip : its place in the square, a pair or text like ``0.5,0.5``; default (0.5037, 0.5071).
     angle : of the crack to the x axis, -40 to 40 degrees, at which it still comes in from the left; default 0.
-    KI, KII : stress intensity factors; default 1 and 0.
+    KI : stress intensity factor of the opening mode, 0 to 1e6; default 1.
+    KII : of the sliding mode, -1e6 to 1e6; default 0.
     """
     check_number("williams", "angle", angle, -40.0, 40.0)
-    if not (isinstance(tip, (tuple, list)) and len(tip) == 2):
-        raise Mistake(f"scene williams: tip is a pair of numbers, not {tip!r}")
-    for name, value, low, high in (("KI", KI, 0.0, 1e6), ("KII", KII, -1e6, 1e6), *(("tip", c, 0.05, 0.95) for c in tip)):
+    at = point(tip)
+    for name, value, low, high in (("KI", KI, 0.0, 1e6), ("KII", KII, -1e6, 1e6), *(("tip", c, 0.05, 0.95) for c in at)):
         check_number("williams", name, value, low, high)
     if KI == 0 and KII == 0:
         raise Mistake("scene williams: KI and KII are both zero; give a load")
-    field = TipField(tuple(map(float, tip)), math.radians(angle), KI, KII, E / (2 * (1 + NU)), NU)
-    start = (OUTSIDE, tip[1] - (tip[0] - OUTSIDE) * math.tan(field.angle))
-    if not 0.0 < tip[1] - tip[0] * math.tan(field.angle) < 1.0:
+    field = TipField(at, math.radians(angle), KI, KII, E / (2 * (1 + NU)), NU)
+    start = (OUTSIDE, at[1] - (at[0] - OUTSIDE) * math.tan(field.angle))
+    if not 0.0 < at[1] - at[0] * math.tan(field.angle) < 1.0:
         raise Mistake("scene williams: the crack must enter through the left side; choose another tip or angle")
     energy, square = field.norms(SQUARE)
     boundary = any_of(at_most(0, 0.0), at_least(0, 1.0), at_most(1, 0.0), at_least(1, 1.0))
