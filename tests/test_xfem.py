@@ -214,7 +214,8 @@ def test_tips_and_cracks_on_nodes_and_edges(tip):
     scene, model = built("williams", tip=tip)
     found = errors(scene, model)
     assert found["energy"] < 0.11 and abs(found["KI"] - 1) < 0.01
-    assert model.system.condition() < 1.2e4
+    # on a node the jump reaches one cell farther, well into the modes: 1.4e4
+    assert model.system.condition() < 1.6e4
 
 
 @pytest.mark.parametrize("delta", [1e-3, 1e-6, 1e-9, 1e-12])
@@ -303,3 +304,12 @@ for scene, knobs in (("williams", dict(n=12)), ("williams", dict(n=12, tip=(0.5,
             assert many[2] == pytest.approx(one[2], rel=1e-8, abs=1e-10)
             assert many[3] == pytest.approx(one[3], rel=1e-7, abs=1e-10)
             assert many[4] == pytest.approx(one[4], rel=1e-9)
+
+
+@pytest.mark.parametrize("tip", [(0.5, 0.5), (0.499, 0.5), (0.5, 0.499), (0.501, 0.501)])
+@pytest.mark.parametrize("enrichment", ["modes", "heaviside"])
+def test_coarse_meshes_and_tips_near_a_node(tip, enrichment):
+    """Bounds: measured up to .21; without tip functions .44 on the node, where a crack that ended a cell earlier gave .95."""
+    scene, model = built("williams", 8, tip=tip, enrichment=enrichment)
+    limit = 0.23 if enrichment == "modes" else 0.5 if tip == (0.5, 0.5) else 1.0
+    assert errors(scene, model)["energy"] < limit

@@ -52,8 +52,8 @@ class Xfem:
             dofs a node, within the radius, with Fries' ramp), branches (four functions, eight dofs, within the radius), corrected
             (branches with the ramp: accurate, but nearly dependent), topological (branches at the cell of the tip only), or
             heaviside (none).
-        radius : of that enrichment (m); by default a fifth of the scene's length. It is cut to .45 of the distance to the other
-            end of the crack and .7 of that to the boundary.
+        radius : of that enrichment (m); by default a fifth of the scene's length. It is raised to 2.5 cells, and cut to .45 of
+            the distance to the other end of the crack and .7 of that to the boundary.
         grading : exponent with which cells shrink towards the scene's singular points; 2 by default.
         steps : of the load.
 

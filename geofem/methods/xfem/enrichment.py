@@ -86,12 +86,12 @@ class Enrichment:
     ):
         self.grid, self.lines, self.tips = grid, lines, tips
         cracks = len(lines.start) - 1
-        held = [self._near_tip(t) for t in range(len(tips.turn))]
-        parts = [self._jump(c, cutter, held) for c in range(cracks)]
+        near = [self._near_tip(t) for t in range(len(tips.turn))]
+        parts = [self._jump(c, cutter, [inside for _, inside in near]) for c in range(cracks)]
         kinds, of, ramps = [JUMP] * cracks, list(range(cracks)), [False] * cracks
         if choice is not None:
             for t in range(len(tips.turn)):
-                parts.append(self._tip(t, cracks + t, choice, held[t], radius[t], kappa[t]))
+                parts.append(self._tip(t, cracks + t, choice, near[t][0], radius[t], kappa[t]))
                 kinds.append(choice.kind)
                 of.append(t)
                 ramps.append(choice.ramp)
@@ -99,15 +99,25 @@ class Enrichment:
         self.functions = Functions(np.array(kinds, np.int64), np.array(of, np.int64), np.array(ramps, bool), every)
         self._number(parts)
 
-    def _near_tip(self, t: int) -> Array:
-        """Nodes of the cells that hold a tip, (nodes,) bool. Collective."""
-        nodes = self.grid.T[cells_at(self.grid, self.tips.at[t])].ravel()
-        return self.grid.sum_to_nodes(nodes, np.ones(len(nodes))) > 0.0
+    def _near_tip(self, t: int) -> tuple[Array, Array]:
+        """Nodes of the cells that hold a tip, and those whose support has it inside and not on its rim, (nodes,) bool. Collective."""
+        grid, at = self.grid, self.tips.at[t]
+        cells = cells_at(grid, at)
+        nodes = grid.T[cells].ravel()
+        corners = grid.X[grid.T[cells]]
+        hats = np.empty((len(cells), 3))
+        for v in range(3):
+            along, to = corners[:, (v + 2) % 3] - corners[:, (v + 1) % 3], at - corners[:, (v + 1) % 3]
+            hats[:, v] = 0.5 * (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / grid.area[cells]
+        inside = (hats > 10.0 * TOUCH).ravel()
+        return grid.sum_to_nodes(nodes, np.ones(len(nodes))) > 0.0, grid.sum_to_nodes(
+            nodes[inside], np.ones(inside.sum())
+        ) > 0.0
 
-    def _jump(self, c: int, cutter: Cutter, held: list[Array]) -> tuple[Array, int, Array, Array]:
+    def _jump(self, c: int, cutter: Cutter, inside: list[Array]) -> tuple[Array, int, Array, Array]:
         """Nodes, function, values and ramps of the entries of one crack's jump. Collective.
 
-        A node whose cells hold a tip of the crack carries none: there the crack does not part its support.
+        A node whose support has a tip of the crack ``inside`` carries none: the crack does not part it.
         """
         grid = self.grid
         cells = crack_cells(cutter, c)
@@ -120,7 +130,7 @@ class Enrichment:
         opposite = grid.sum_to_nodes(nodes.ravel(), other.ravel())
         chosen = opposite > LEAST * grid.support
         for t in np.flatnonzero(self.tips.crack == c):
-            chosen &= ~held[t]
+            chosen &= ~inside[t]
         found = np.flatnonzero(chosen)
         values = np.zeros((len(found), 4))
         values[:, 0] = sides(grid.X[found], self.lines, c, TOUCH * np.sqrt(grid.support[found]))[0]

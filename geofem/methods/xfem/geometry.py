@@ -16,6 +16,8 @@ from geofem.scene import Array, Crack
 TOUCH = 1e-10
 """Barycentric distance at which a point outside a cell still counts as on it, and fraction of a cell's size at which a node lies
 on a crack: rounding puts what is on a line on either side of it."""
+MEET = 1e-8
+"""A cell that holds less of a crack than this part of its size, at the crack's end, lies ahead of the crack."""
 EDGE = 1e-9
 """A crack's end nearer to the boundary than this part of a cell is its mouth and no tip."""
 
@@ -95,8 +97,20 @@ def distance_to(x: Array, edges: Array) -> float:
 
 
 def touching(grid: Grid, lines: Lines) -> Touch:
-    """The cells of this rank that the cracks touch, in time proportional to their number."""
+    """The cells of this rank that the cracks touch, in time proportional to their number.
+
+    Not those that a crack's end does but meet: they lie ahead of it, and the crack parts nothing in them.
+    """
     cell, segment = touched(lines, grid.X, grid.T, grid.bins)
+    ends = np.isin(segment, lines.start[:-1]) | np.isin(segment, lines.start[1:] - 2)
+    kept = ~ends
+    for k in np.flatnonzero(ends):
+        a, b = lines.points[segment[k]], lines.points[segment[k] + 1]
+        first, last = contact(a, b, *grid.X[grid.T[cell[k]]])
+        short = (last - first) * np.hypot(*(b - a)) <= MEET * grid.size[cell[k]]
+        at_end = (segment[k] in lines.start[:-1] and first == 0.0) or (segment[k] in lines.start[1:] - 2 and last == 1.0)
+        kept[k] = not (short and at_end)
+    cell, segment = cell[kept], segment[kept]
     order = np.lexsort((segment, cell))
     cells, first = np.unique(cell[order], return_index=True)
     return Touch(cells, np.append(first, len(cell)).astype(np.int64), segment[order])
@@ -141,7 +155,17 @@ def touched(lines: Lines, X: Array, T: Array, bins: Bins) -> tuple[Array, Array]
 
 @kernel
 def touches(a: Array, b: Array, p: Array, q: Array, r: Array) -> bool:
-    """True if the segment from a to b touches the closed triangle p, q, r: it is clipped by the three barycentric coordinates."""
+    """True if the segment from a to b touches the closed triangle p, q, r."""
+    first, last = contact(a, b, p, q, r)
+    return first <= last
+
+
+@kernel
+def contact(a: Array, b: Array, p: Array, q: Array, r: Array) -> tuple[float, float]:
+    """Where on the segment from a (0) to b (1) the closed triangle p, q, r begins and ends; the end comes first if nowhere.
+
+    The segment is clipped by the three barycentric coordinates.
+    """
     double = (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
     first, last = 0.0, 1.0
     for k in range(3):
@@ -149,12 +173,12 @@ def touches(a: Array, b: Array, p: Array, q: Array, r: Array) -> bool:
         at_a = ((v[0] - u[0]) * (a[1] - u[1]) - (v[1] - u[1]) * (a[0] - u[0])) / double + TOUCH
         at_b = ((v[0] - u[0]) * (b[1] - u[1]) - (v[1] - u[1]) * (b[0] - u[0])) / double + TOUCH
         if at_a < 0.0 and at_b < 0.0:
-            return False
+            return 1.0, 0.0
         if at_a < 0.0:
             first = max(first, at_a / (at_a - at_b))
         elif at_b < 0.0:
             last = min(last, at_a / (at_a - at_b))
-    return first <= last
+    return first, last
 
 
 @kernel

@@ -30,6 +30,9 @@ FINE = Degrees(near=14, far=8, polar=16)
 """Rules with which errors and intensity factors are integrated."""
 FROM_END, FROM_BOUNDARY = 0.45, 0.7
 """The radius around a tip is at most this part of the distance to the crack's other end, and to the boundary."""
+LEAST_CELLS = 2.5
+"""... but at least so many cells: nodes next to the tip carry no jump, and where the ramp falls from them already, the crack is
+held shut in part. With one layer of nodes, modes do not converge."""
 RING = 1.25
 """Radius of the ring of the interaction integral, as a multiple of that of the enrichment."""
 
@@ -117,7 +120,10 @@ class XfemModel:
         for c, at in zip(self.tips.crack, self.tips.at):
             first, last = self.lines.points[ends[c]], self.lines.points[ends[c + 1] - 1]
             boundary = self.comm.allreduce(distance_to(at, self.grid.X[self.boundary]), op=MPI.MIN)
-            out.append(min(self.radius, FROM_END * float(np.hypot(*(last - first))), FROM_BOUNDARY * boundary))
+            cell = self.comm.allreduce(float(self.grid.size[cells_at(self.grid, at)].max(initial=0.0)), op=MPI.MAX)
+            out.append(
+                min(max(self.radius, LEAST_CELLS * cell), FROM_END * float(np.hypot(*(last - first))), FROM_BOUNDARY * boundary)
+            )
         return np.array(out)
 
     def _refuse_loads(self) -> None:
