@@ -74,3 +74,21 @@ class Grid:
         vector.array[:] = values
         vector.scatter_forward()
         return vector.array.copy()
+
+    def cells_of_facets(self, found: Array) -> Array:
+        """The cell of this rank at each boundary facet."""
+        topology = self.space.mesh.topology
+        topology.create_connectivity(1, 2)
+        connected = topology.connectivity(1, 2)
+        return connected.array[connected.offsets[found]].astype(np.int64)
+
+
+def boundary_edges(grid: Grid, found: Array) -> Array:
+    """The nodes (k, 2) of facets of this rank."""
+    topology = grid.space.mesh.topology
+    topology.create_connectivity(1, 0)
+    vertices = topology.connectivity(1, 0).array.reshape(-1, 2)[found]
+    # P1 nodes and vertices are numbered apart
+    node = np.empty(topology.index_map(0).size_local + topology.index_map(0).num_ghosts, np.int64)
+    node[topology.connectivity(2, 0).array] = grid.space.dofmap.list.ravel()
+    return node[vertices]

@@ -12,16 +12,17 @@ from mpi4py import MPI
 from geofem.core import snapshot
 from geofem.core.conditions import Loads
 from geofem.core.forms import Forms, Template
-from geofem.core.mesh import Body, facets
+from geofem.core.mesh import Body
 from geofem.cost import phase
 from geofem.methods.xfem import sif
 from geofem.methods.xfem.basis import World, blocks, fields_at
 from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of, sides_of
 from geofem.methods.xfem.fields import kolosov
-from geofem.methods.xfem.geometry import Tips, cells_at, distance_to, find_tips, polylines, touching
-from geofem.methods.xfem.grid import Grid
+from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, find_tips, polylines, touching
+from geofem.methods.xfem.grid import Grid, boundary_edges
+from geofem.methods.xfem.loads import EnrichedLoads
 from geofem.methods.xfem.rules import Cutter, Degrees, Rule
-from geofem.methods.xfem.supports import Supports, boundary_edges
+from geofem.methods.xfem.supports import Supports
 from geofem.methods.xfem.system import Numbering, StandardBlock, System
 from geofem.mistake import Mistake
 from geofem.scene import Array, Probe, Scene
@@ -30,6 +31,8 @@ FINE = Degrees(near=14, far=8, polar=16)
 """Rules with which errors and intensity factors are integrated."""
 FROM_END, FROM_BOUNDARY = 0.45, 0.7
 """The radius around a tip is at most this part of the distance to the crack's other end, and to the boundary."""
+STRAIGHT = 1e-3
+"""Sine of the angle up to which a crack behind its tip counts as straight."""
 LEAST_CELLS = 2.5
 """... but at least so many cells: nodes next to the tip carry no jump, and where the ramp falls from them already, the crack is
 held shut in part. With one layer of nodes, modes do not converge."""
@@ -88,12 +91,14 @@ class XfemModel:
             active = np.diff(acting.start) > 0
             self.cells = cells[active]
             self.acting_here = self.acting(self.cells)
-            self._refuse_loads()
             self.rule = self.cutter.rule(self.cells, self._has_tip_functions(self.acting_here))
             self.numbering = Numbering(self.grid, self.enrichment)
             self.supports = Supports(self.scene, self.body, self.grid, self.enrichment, self.world, self.numbering)
         with phase("assembly"):
             enriched = blocks(self.rule, self.acting_here, self.world, self.lam, self.mu)
+            self.enriched_loads = EnrichedLoads(
+                self.scene, self.grid, self.body, self.world, self.rule, self.acting_here, len(self.numbering.to_global)
+            )
         self.system = System(self.numbering, self.standard, enriched, self.supports.dofs, self.space)
 
     def acting(self, cells: Array) -> CellEntries:
@@ -126,16 +131,6 @@ class XfemModel:
             )
         return np.array(out)
 
-    def _refuse_loads(self) -> None:
-        """Raise ``Mistake`` for loads that would act on enriched dofs, whose forces are not there yet."""
-        for load in self.scene.loads:
-            if load.where is None:
-                raise Mistake(f"scene {self.scene.name}: xfem has no {load.kind} on cracked bodies yet; use tractions")
-            edges = boundary_edges(self.grid, facets(self.body, load.where, load.kind))
-            cells = np.flatnonzero(np.isin(self.grid.T, edges).sum(axis=1) >= 2)
-            if self.comm.allreduce(bool(np.isin(cells, self.cells).any()), op=MPI.LOR):
-                raise Mistake(f"scene {self.scene.name}: a {load.kind} acts within the enrichment of a crack; lower the radius")
-
     # --- the step -------------------------------------------------------------------------------------------------
     def dt(self) -> float:
         return self._dt
@@ -148,7 +143,8 @@ class XfemModel:
 
     def _force(self, t: float) -> Array:
         """The external forces at the owned dofs, in global order."""
-        force = np.zeros(self.numbering.owned)
+        with phase("loads"):
+            force = self.system.sum_to_owned(self.enriched_loads.external(t))
         force[: 2 * self.grid.owned] = self.loads.external(t)[: 2 * self.grid.owned]
         return force
 
@@ -182,7 +178,10 @@ class XfemModel:
             return self._error(probe)
         if probe.quantity == "displacement":
             assert probe.at is not None
-            return self._at(np.array(probe.at, float))[0][probe.component]
+            return float(self._at(np.array(probe.at, float))[0][probe.component])
+        if probe.quantity == "stress":
+            assert probe.at is not None
+            return float(self._at(np.array(probe.at, float))[1][probe.component])
         if probe.quantity == "reaction":
             support = next(s for s in self.scene.supports if s.name == probe.of)
             dofs = self.supports.owned_of(support, probe.component)
@@ -195,7 +194,8 @@ class XfemModel:
         if self.t == 0.0:
             return np.zeros(2)
         with phase("intensity"):
-            radius = RING * self.radii[tip] if radius is None else radius
+            if radius is None:
+                radius = min(RING * self.radii[tip], straight_part(self.lines, self.tips, tip))
             cells, q = sif.ring(self.grid, self.tips.at[tip], radius)
             rule = self.cutter.rule(cells, degrees=FINE)
             return sif.intensity(
@@ -226,7 +226,7 @@ class XfemModel:
             return float(np.sqrt(self.comm.allreduce(rule.w @ density, op=MPI.SUM)))
 
     def _at(self, x: Array) -> tuple[Array, Array]:
-        """Displacement (2,) and its gradient (2, 2) at a point, the + side of a crack it lies on. Collective.
+        """Displacement (2,) and stress (4,), as in snapshots, at a point; the + side of a crack it lies on. Collective.
 
         Raises ``Mistake`` if the point is in no cell.
         """
@@ -235,7 +235,7 @@ class XfemModel:
         if len(cells):
             rule = Rule(cells, np.array([0, 1]), x[None], np.ones(1))
             u, g = fields_at(rule, self.acting(cells), self.world, self.x)
-            found = u[0], g[0]
+            found = u[0], self._stress(g, cells)[0]
         for answer in self.comm.allgather(found):
             if answer is not None:
                 return answer
@@ -256,6 +256,12 @@ class XfemModel:
     def savings(self) -> dict[str, float]:
         return {}
 
+    def _stress(self, g: Array, cell: Array) -> Array:
+        """Stress (n, 4): xx, yy, zz, xy (Pa) of displacement gradients g (n, 2, 2) in the cells (n,)."""
+        sigma = sif.stress(g, self.lam[cell], self.mu[cell])
+        across = self.lam[cell] * (g[:, 0, 0] + g[:, 1, 1]) * (self.scene.plane != "plane_stress")
+        return np.stack([sigma[:, 0, 0], sigma[:, 1, 1], across, sigma[:, 0, 1]], axis=1)
+
     def _nodal(self) -> Array:
         return self.x[: 2 * len(self.grid.X)].reshape(-1, 2)
 
@@ -264,9 +270,7 @@ class XfemModel:
         rule = self.cutter.rule(cells, np.zeros(len(cells), bool))
         g = fields_at(rule, self.acting(cells), self.world, self.x)[1]
         cell = np.repeat(cells, np.diff(rule.start))
-        sigma = sif.stress(g, self.lam[cell], self.mu[cell])
-        across = self.lam[cell] * (g[:, 0, 0] + g[:, 1, 1]) * (self.scene.plane != "plane_stress")
-        parts = np.stack([sigma[:, 0, 0], sigma[:, 1, 1], across, sigma[:, 0, 1]], axis=1) * rule.w[:, None]
+        parts = self._stress(g, cell) * rule.w[:, None]
         mean = np.add.reduceat(parts, rule.start[:-1]) / self.grid.area[:, None] if len(cells) else np.empty((0, 4))
         return snapshot.picture(self.space, self.grid.X, self._nodal(), {"stress": mean})
 
@@ -286,3 +290,16 @@ class XfemModel:
         self.t, external, self._imbalance, steps = state["numbers"].tolist()
         self._balance(self.t)
         self._energy["external"], self.work["steps"] = external, int(steps)
+
+
+def straight_part(lines: Lines, tips: Tips, tip: int) -> float:
+    """Length (m) of the crack behind a tip up to its first kink."""
+    first, last = lines.start[tips.crack[tip]], lines.start[tips.crack[tip] + 1] - 1
+    points = lines.points[first : last + 1]
+    if tips.point[tip] == last:
+        points = points[::-1]
+    behind = points[0] - points
+    off = np.abs(behind[:, 0] * tips.axis[tip, 1] - behind[:, 1] * tips.axis[tip, 0])
+    length = np.hypot(*behind.T)
+    bent = np.flatnonzero(off > STRAIGHT * length)
+    return float(length[bent[0] - 1] if len(bent) else length[-1])

@@ -17,7 +17,7 @@ from geofem.core.mesh import Body, facets
 from geofem.methods.xfem.basis import World
 from geofem.methods.xfem.enrichment import JUMP, WIDTH, Enrichment
 from geofem.methods.xfem.geometry import TOUCH, sides
-from geofem.methods.xfem.grid import Grid
+from geofem.methods.xfem.grid import Grid, boundary_edges
 from geofem.methods.xfem.system import Numbering
 from geofem.scene import Array, Scene, Support
 
@@ -37,18 +37,6 @@ class CutEdge(NamedTuple):
     share: float
     dof: int
     jump: float
-
-
-def boundary_edges(grid: Grid, found: Array) -> Array:
-    """The nodes (k, 2) of facets of this rank."""
-    mesh = grid.space.mesh
-    mesh.topology.create_connectivity(1, 2)
-    mesh.topology.create_connectivity(1, 0)
-    vertices = mesh.topology.connectivity(1, 0).array.reshape(-1, 2)[found]
-    # P1 nodes and vertices are numbered apart
-    node = np.empty(mesh.topology.index_map(0).size_local + mesh.topology.index_map(0).num_ghosts, np.int64)
-    node[mesh.topology.connectivity(2, 0).array] = grid.space.dofmap.list.ravel()
-    return node[vertices]
 
 
 class Supports:
@@ -149,7 +137,12 @@ class Supports:
 
 
 def crossing(a: Array, b: Array, polyline: Array) -> float | None:
-    """Where a polyline (n, 2) crosses the segment from a to b, 0 at a and 1 at b; None if it does not, first crossing if often."""
+    """Where a polyline (n, 2) first crosses the segment from a to b, 0 at a and 1 at b; None if it does not."""
+    return min(crossings(a, b, polyline), default=None)
+
+
+def crossings(a: Array, b: Array, polyline: Array) -> list[float]:
+    """All places where a polyline (n, 2) crosses the segment from a to b, 0 at a and 1 at b."""
     edge = b - a
     found = []
     for p, q in zip(polyline, polyline[1:]):
@@ -161,4 +154,4 @@ def crossing(a: Array, b: Array, polyline: Array) -> float | None:
         s = ((p - a)[0] * edge[1] - (p - a)[1] * edge[0]) / det
         if -TOUCH <= t <= 1.0 + TOUCH and -TOUCH <= s <= 1.0 + TOUCH:
             found.append(min(max(t, 0.0), 1.0))
-    return min(found, default=None)
+    return found

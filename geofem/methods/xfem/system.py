@@ -163,6 +163,13 @@ class System:
         self._fetch.scatter(self._x, self._local, False, PETSc.ScatterMode.FORWARD)
         return self._local.array.copy()
 
+    def sum_to_owned(self, local: Array) -> Array:
+        """Sums over all ranks of what they have at local dofs, for the owned ones. Collective."""
+        self._local.array[:] = local
+        self._x.set(0.0)
+        self._fetch.scatter(self._local, self._x, PETSc.InsertMode.ADD_VALUES, PETSc.ScatterMode.REVERSE)
+        return self._x.array.copy()
+
     def internal_force(self, x: Array) -> Array:
         """K x at the owned dofs; x : local dofs."""
         self._x.array[:] = x[self.numbering.local_owned]
