@@ -309,6 +309,18 @@ def test_the_stress_at_a_point_far_from_the_crack():
     assert model.probe(Probe("s", "stress", at=(3.0, 12.0), component=1)) == pytest.approx(1.0, rel=0.02)
 
 
+def test_a_picture_shows_the_crack_open():
+    _, model = built("edge_crack", 20, grading=1.0)
+    shown = model.snapshot()
+    x = shown["points"][:, :2] - shown["displacement"]
+    corners = x[shown["cells"]]
+    double = np.linalg.det(corners[:, 1:] - corners[:, :1])
+    assert 0.5 * double.sum() == pytest.approx(2.0, rel=1e-12) and (double > 0).all()
+    mouth = np.hypot(*(x - (0.0, 0.0)).T) < 1e-9
+    assert np.ptp(shown["displacement"][mouth, 1]) > 3.0
+    assert shown["stress"].shape == (len(shown["cells"]), 4)
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
 def test_what_xfem_cannot_do_is_said():
     scene = scenes.get("williams")()

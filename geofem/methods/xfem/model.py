@@ -9,7 +9,6 @@ import numpy as np
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
-from geofem.core import snapshot
 from geofem.core.conditions import Loads
 from geofem.core.forms import Forms, Template
 from geofem.core.mesh import Body
@@ -21,6 +20,7 @@ from geofem.methods.xfem.fields import kolosov
 from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, find_tips, polylines, touching
 from geofem.methods.xfem.grid import Grid, boundary_edges
 from geofem.methods.xfem.loads import EnrichedLoads
+from geofem.methods.xfem.picture import picture
 from geofem.methods.xfem.rules import Cutter, Degrees, Rule
 from geofem.methods.xfem.supports import Supports
 from geofem.methods.xfem.system import Numbering, StandardBlock, System
@@ -266,13 +266,7 @@ class XfemModel:
         return self.x[: 2 * len(self.grid.X)].reshape(-1, 2)
 
     def snapshot(self) -> dict[str, Any]:
-        cells = np.arange(len(self.grid.T))
-        rule = self.cutter.rule(cells, np.zeros(len(cells), bool))
-        g = fields_at(rule, self.acting(cells), self.world, self.x)[1]
-        cell = np.repeat(cells, np.diff(rule.start))
-        parts = self._stress(g, cell) * rule.w[:, None]
-        mean = np.add.reduceat(parts, rule.start[:-1]) / self.grid.area[:, None] if len(cells) else np.empty((0, 4))
-        return snapshot.picture(self.space, self.grid.X, self._nodal(), {"stress": mean})
+        return picture(self.grid, self.cutter, self.world, self.x, self.acting, self._stress)
 
     def functions(self) -> list[fem.Function]:
         self._function.x.array[:] = self._nodal().ravel()
