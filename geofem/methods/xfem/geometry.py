@@ -17,7 +17,7 @@ TOUCH = 1e-10
 """Barycentric distance at which a point outside a cell still counts as on it, and fraction of a cell's size at which a node lies
 on a crack: rounding puts what is on a line on either side of it."""
 MEET = 1e-8
-"""A cell that holds less of a crack than this part of its size, at the crack's end, lies ahead of the crack."""
+"""A cell that holds less of a crack than this part of its size, at a tip, lies ahead of it."""
 EDGE = 1e-9
 """A crack's end nearer to the boundary than this part of a cell is its mouth and no tip."""
 
@@ -96,20 +96,19 @@ def distance_to(x: Array, edges: Array) -> float:
     return float(np.hypot(*(x - edges[:, 0] - t[:, None] * along).T).min())
 
 
-def touching(grid: Grid, lines: Lines) -> Touch:
+def touching(grid: Grid, lines: Lines, tips: Tips) -> Touch:
     """The cells of this rank that the cracks touch, in time proportional to their number.
 
-    Not those that a crack's end does but meet: they lie ahead of it, and the crack parts nothing in them.
+    Not those that a tip does but meet: they lie ahead of it, and the crack parts nothing in them.
     """
     cell, segment = touched(lines, grid.X, grid.T, grid.bins)
-    ends = np.isin(segment, lines.start[:-1]) | np.isin(segment, lines.start[1:] - 2)
-    kept = ~ends
-    for k in np.flatnonzero(ends):
+    kept = np.ones(len(cell), bool)
+    for k in np.flatnonzero(np.isin(segment, tips.point) | np.isin(segment + 1, tips.point)):
         a, b = lines.points[segment[k]], lines.points[segment[k] + 1]
         first, last = contact(a, b, *grid.X[grid.T[cell[k]]])
         short = (last - first) * np.hypot(*(b - a)) <= MEET * grid.size[cell[k]]
-        at_end = (segment[k] in lines.start[:-1] and first == 0.0) or (segment[k] in lines.start[1:] - 2 and last == 1.0)
-        kept[k] = not (short and at_end)
+        at_tip = (first == 0.0 and segment[k] in tips.point) or (last == 1.0 and segment[k] + 1 in tips.point)
+        kept[k] = not (short and at_tip)
     cell, segment = cell[kept], segment[kept]
     order = np.lexsort((segment, cell))
     cells, first = np.unique(cell[order], return_index=True)

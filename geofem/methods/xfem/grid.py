@@ -49,8 +49,8 @@ class Grid:
     def bins(self) -> Bins:
         corners = self.X[self.T]
         low, high = corners.min(axis=1), corners.max(axis=1)
-        start = low.min(axis=0, initial=np.inf)
-        spans = np.maximum(high.max(axis=0, initial=-np.inf) - start, 0.0) if len(low) else np.zeros(2)
+        start = low.min(axis=0) if len(low) else np.zeros(2)
+        spans = high.max(axis=0) - start if len(low) else np.zeros(2)
         width = max(1.3 * float(np.sqrt(np.prod(spans) / max(len(low), 1))), 1e-300)
         counts = np.maximum(1, (spans / width).astype(np.int64) + 1)
         return Bins(start, width, counts, *fill_bins(low, high, start, width, counts))

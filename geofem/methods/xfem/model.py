@@ -30,7 +30,7 @@ from geofem.scene import Array, Probe, Scene
 FINE = Degrees(near=14, far=8, polar=16)
 """Rules with which errors and intensity factors are integrated."""
 FROM_END, FROM_BOUNDARY = 0.45, 0.7
-"""The radius around a tip is at most this part of the distance to the crack's other end, and to the boundary."""
+"""The radius around a tip is at most this part of the distance to the crack's other end and other cracks, and to the boundary."""
 STRAIGHT = 1e-3
 """Sine of the angle up to which a crack behind its tip counts as straight."""
 LEAST_CELLS = 2.5
@@ -38,6 +38,12 @@ LEAST_CELLS = 2.5
 held shut in part. With one layer of nodes, modes do not converge."""
 RING = 1.25
 """Radius of the ring of the interaction integral, as a multiple of that of the enrichment."""
+
+
+RING_CELLS = 2.0
+"""... but at least so many cells."""
+INNER = 0.8
+"""Radius of the ring that K is compared with, as a multiple of that of the enrichment."""
 
 
 class XfemModel:
@@ -78,7 +84,7 @@ class XfemModel:
             lines = self.lines
             self.tips = find_tips(self.grid, lines, self.boundary)
             self.kappa = self._kappa_at(self.tips)
-            touch = touching(self.grid, lines)
+            touch = touching(self.grid, lines, self.tips)
             self.cutter = Cutter(self.grid, lines, touch, self.tips.at)
             self.radii = self._radii()
             self.enrichment = Enrichment(self.grid, lines, self.tips, self.cutter, self.choice, self.radii, self.kappa)
@@ -119,17 +125,22 @@ class XfemModel:
         return np.array([self._kappas[self.comm.allreduce(region, op=MPI.MAX)] for region in mine])
 
     def _radii(self) -> Array:
-        """The radius of the enrichment of each tip, which stays off the crack's other end and off the boundary. Collective."""
-        ends = self.lines.start
-        out = []
-        for c, at in zip(self.tips.crack, self.tips.at):
-            first, last = self.lines.points[ends[c]], self.lines.points[ends[c + 1] - 1]
+        """The radius of the enrichment of each tip, which stays off other ends, cracks and the boundary. Collective."""
+        lines, out = self.lines, []
+        self._cell = np.array([self._largest(self.grid.size[cells_at(self.grid, at)]) for at in self.tips.at])
+        for tip, (c, at) in enumerate(zip(self.tips.crack, self.tips.at)):
+            first, last = lines.start[c], lines.start[c + 1] - 1
+            own = float(np.hypot(*(lines.points[last] - lines.points[first])))
+            segments = [s for k in range(len(lines.start) - 1) if k != c for s in range(lines.start[k], lines.start[k + 1] - 1)]
+            other = distance_to(at, np.stack([lines.points[segments], lines.points[np.array(segments, int) + 1]], axis=1))
             boundary = self.comm.allreduce(distance_to(at, self.grid.X[self.boundary]), op=MPI.MIN)
-            cell = self.comm.allreduce(float(self.grid.size[cells_at(self.grid, at)].max(initial=0.0)), op=MPI.MAX)
-            out.append(
-                min(max(self.radius, LEAST_CELLS * cell), FROM_END * float(np.hypot(*(last - first))), FROM_BOUNDARY * boundary)
-            )
+            wish = max(self.radius, LEAST_CELLS * self._cell[tip])
+            out.append(min(wish, FROM_END * own, FROM_END * other, FROM_BOUNDARY * boundary))
         return np.array(out)
+
+    def _largest(self, values: Array) -> float:
+        """The largest value on any rank, 0 without one. Collective."""
+        return float(self.comm.allreduce(float(values.max(initial=0.0)), op=MPI.MAX))
 
     # --- the step -------------------------------------------------------------------------------------------------
     def dt(self) -> float:
@@ -172,6 +183,8 @@ class XfemModel:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
         if probe.quantity in ("KI", "KII"):
             assert probe.at is not None
+            if not len(self.tips.at):
+                raise Mistake(f"probe {probe.name!r}: no crack of scene {self.scene.name} ends inside a body; there is no tip")
             tip = int(np.hypot(*(self.tips.at - np.array(probe.at)).T).argmin())
             return float(self.intensity(tip)[0 if probe.quantity == "KI" else 1])
         if probe.quantity in ("displacement_error", "energy_error"):
@@ -193,14 +206,24 @@ class XfemModel:
         """K_I and K_II (2,) of a tip (Pa sqrt(m)), by a ring of the given radius (m). Collective."""
         if self.t == 0.0:
             return np.zeros(2)
+        return sif.intensity(self._ring(tip, radius), self.world, tip, self.kappa[tip])
+
+    def release(self, tip: int, radius: float | None = None) -> float:
+        """The energy that is released per area of new crack, straight ahead of a tip (J/m2), by a ring. Collective."""
+        return sif.release(self._ring(tip, radius)) if self.t else 0.0
+
+    def _ring(self, tip: int, radius: float | None) -> sif.Ring:
+        """The solution on a ring around a tip. Raises ``Mistake`` if that is finer than the mesh."""
+        if radius is None:
+            radius = min(RING * self.radii[tip], straight_part(self.lines, self.tips, tip))
+            radius = max(radius, RING_CELLS * self._cell[tip])
         with phase("intensity"):
-            if radius is None:
-                radius = min(RING * self.radii[tip], straight_part(self.lines, self.tips, tip))
-            cells, q = sif.ring(self.grid, self.tips.at[tip], radius)
-            rule = self.cutter.rule(cells, degrees=FINE)
-            return sif.intensity(
-                self.grid, self.world, tip, self.kappa[tip], cells, q, rule, self.acting(cells), self.x, self.lam, self.mu
-            )
+            cells, q = sif.around(self.grid, self.tips.at[tip], radius)
+            if not self._largest(q):
+                raise Mistake(f"there is no node within {radius:g} m of a crack tip, where K is taken; refine the mesh")
+            rule, acting = self.cutter.rule(cells, degrees=FINE), self.acting(cells)
+            g = fields_at(rule, acting, self.world, self.x)[1]
+            return sif.Ring(self.grid, rule, q, g, self.tips.axis[tip], self.lam, self.mu)
 
     @cached_property
     def _whole(self) -> tuple[Rule, CellEntries]:
@@ -245,8 +268,13 @@ class XfemModel:
         return dict(self._energy)
 
     def checks(self) -> dict[str, float | None]:
-        """The largest force out of balance, relative; nothing else can drift."""
-        return {"mass": None, "momentum": self._imbalance, "volume": None}
+        """The largest force out of balance, relative, and how far K differs between two rings: ``path``, the worst of all tips."""
+        path = None
+        if len(self.tips.at) and self.t:
+            outer = [self.intensity(tip) for tip in range(len(self.tips.at))]
+            inner = [self.intensity(tip, INNER * self.radii[tip]) for tip in range(len(self.tips.at))]
+            path = max(float(np.hypot(*(a - b)) / (np.hypot(*a) or 1.0)) for a, b in zip(outer, inner))
+        return {"mass": None, "momentum": self._imbalance, "volume": None, "path": path}
 
     def size(self) -> dict[str, int]:
         cells = self.comm.allreduce(len(self.grid.T), op=MPI.SUM)

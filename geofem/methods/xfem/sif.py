@@ -1,24 +1,70 @@
-"""Stress intensity factors by the interaction integral in its domain form.
+"""Stress intensity factors by the interaction integral, and the energy release rate by the J integral, as domain integrals.
 
-With q = 1 near the tip and 0 outside the ring, sigma and u of the solution, and those of mode m with K_m = 1 (superscript m),
+With q = 1 near the tip and 0 outside a ring, sigma and u of the solution, W its energy density, and the axis 1 ahead of the tip,
 
-    I_m = int (sigma_ij u^m_i,1 + sigma^m_ij u_i,1 - sigma_kl eps^m_kl delta_1j) q,j dA = 2 K_m / E',
+    J = int (sigma_ij u_i,1 - W delta_1j) q,j dA   (Rice 1968; Li, Shih and Needleman 1985).
 
-along the tip's axis 1 (Yau, Wang and Corten 1980; Shih and Asaro 1988), E' = E / (1 - nu^2) in plane strain, E in plane stress.
-Valid where the crack is straight and without traction inside the ring, and no body force acts there.
+The mixed terms of J for the sum of the solution and the mode m with K_m = 1 (superscript m) give its intensity factor:
+
+    int (sigma_ij u^m_i,1 + sigma^m_ij u_i,1 - sigma_kl eps^m_kl delta_1j) q,j dA = 2 K_m / E'   (Yau, Wang and Corten 1980),
+
+E' = E / (1 - nu^2) in plane strain, E in plane stress. Valid where the crack is straight and free of traction inside the ring,
+no force of mass acts there, and the material is the same all around.
 """
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from mpi4py import MPI
 
-from geofem.methods.xfem.basis import World, fields_at
-from geofem.methods.xfem.enrichment import TIE, CellEntries
+from geofem.methods.xfem.basis import World
+from geofem.methods.xfem.enrichment import TIE
 from geofem.methods.xfem.fields import modes_at
 from geofem.methods.xfem.grid import Grid
 from geofem.methods.xfem.rules import Rule
 from geofem.scene import Array
+
+
+class Ring(NamedTuple):
+    """The solution on the cells of a ring.
+
+    rule : over its cells. q : (nodes,) weights of ``around``. g : (points, 2, 2) displacement gradients. axis : (2,) ahead.
+    lam, mu : (all cells,) Lame constants (Pa) in the plane.
+    """
+
+    grid: Grid
+    rule: Rule
+    q: Array
+    g: Array
+    axis: Array
+    lam: Array
+    mu: Array
+
+    @property
+    def owner(self) -> Array:
+        """The cell of each point."""
+        return np.repeat(self.rule.cells, np.diff(self.rule.start))
+
+    def integral(self, flux: Array) -> float:
+        """The integral of flux_j q,j of a flux (points, 2) over the ring on all ranks. Collective."""
+        nodes = self.grid.T[self.rule.cells]
+        corners, rise = self.grid.X[nodes], self.q[nodes]
+        b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        db, dc = rise[:, 1] - rise[:, 0], rise[:, 2] - rise[:, 0]
+        slope = np.stack([db * c[:, 1] - dc * b[:, 1], dc * b[:, 0] - db * c[:, 0]], axis=1)
+        slope /= 2.0 * self.grid.area[self.rule.cells, None]
+        each = np.repeat(slope, np.diff(self.rule.start), axis=0)
+        return float(self.grid.comm.allreduce(float(np.einsum("n,nj,nj->", self.rule.w, flux, each)), op=MPI.SUM))
+
+
+def around(grid: Grid, at: Array, radius: float) -> tuple[Array, Array]:
+    """The cells that the circle around a tip passes, and the nodal weights q (nodes,): 1 inside of it, 0 outside."""
+    q = (np.hypot(*(grid.X - at).T) < (1.0 + TIE) * radius).astype(float)
+    inside = q[grid.T].sum(axis=1)
+    return np.flatnonzero((inside > 0) & (inside < 3)), q
 
 
 def stress(g: Array, lam: Array, mu: Array) -> Array:
@@ -28,41 +74,32 @@ def stress(g: Array, lam: Array, mu: Array) -> Array:
     return 2.0 * mu[:, None, None] * strain + (lam * trace)[:, None, None] * np.eye(2)
 
 
-def ring(grid: Grid, at: Array, radius: float) -> tuple[Array, Array]:
-    """The cells that the circle around a tip passes, and the nodal weights q (nodes,): 1 inside of it, 0 outside."""
-    q = (np.hypot(*(grid.X - at).T) < (1.0 + TIE) * radius).astype(float)
-    inside = q[grid.T].sum(axis=1)
-    return np.flatnonzero((inside > 0) & (inside < 3)), q
+def flux_of(sigma: Array, g: Array, axis: Array) -> Array:
+    """sigma_ij g_ik axis_k - sigma_kl g_kl axis_j, (n, 2): twice the flux of J for a field with itself, less its first term."""
+    return np.einsum("nij,nik,k->nj", sigma, g, axis) - 0.5 * np.einsum("nij,nij->n", sigma, g)[:, None] * axis
 
 
-def intensity(
-    grid: Grid, world: World, tip: int, kappa: float, cells: Array, q: Array, rule: Rule, acting: CellEntries,
-    x: Array, lam: Array, mu: Array,
-) -> Array:  # fmt: skip
-    """K_I and K_II (2,) of a tip (Pa sqrt(m)) by the given ring of cells. Collective.
+def release(ring: Ring) -> float:
+    """J, the energy release rate of a tip (J/m2). Collective."""
+    owner = ring.owner
+    return ring.integral(flux_of(stress(ring.g, ring.lam[owner], ring.mu[owner]), ring.g, ring.axis))
 
-    cells, q : of ``ring``, with a rule and its acting entries. x : all local dofs. lam, mu : (all cells,) Pa, in the plane.
-    """
-    owner = np.repeat(np.arange(len(cells)), np.diff(rule.start))
-    first, second = lam[cells][owner], mu[cells][owner]
-    g = fields_at(rule, acting, world, x)[1]
-    aux = modes_at(rule.x, world.lines, world.tips, tip, kappa)[1] / (2.0 * second[:, None, None, None])
-    corners = grid.X[grid.T[cells]]
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    rise = q[grid.T[cells]]
-    db, dc = rise[:, 1] - rise[:, 0], rise[:, 2] - rise[:, 0]
-    double = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    dq = np.stack([db * b[:, 1] - dc * a[:, 1], dc * a[:, 0] - db * b[:, 0]], axis=1) / double[:, None]
-    axis = world.tips.axis[tip]
-    sigma = stress(g, first, second)
-    out = np.zeros(2)
-    for m in range(2):
-        other = stress(aux[:, m], first, second)
-        # the derivative along the axis of each displacement
-        flux = np.einsum("nij,nik,k->nj", sigma, aux[:, m], axis) + np.einsum("nij,nik,k->nj", other, g, axis)
-        flux -= np.einsum("nij,nij->n", sigma, aux[:, m])[:, None] * axis
-        out[m] = np.einsum("n,nj,nj->", rule.w, flux, dq[owner])
-    total = grid.comm.allreduce(out, op=MPI.SUM)
+
+def intensity(ring: Ring, world: World, tip: int, kappa: float) -> Array:
+    """K_I and K_II (2,) of a tip (Pa sqrt(m)). Collective."""
+    lam, mu = ring.lam[ring.owner], ring.mu[ring.owner]
+    sigma = stress(ring.g, lam, mu)
+    other = modes_at(ring.rule.x, world.lines, world.tips, tip, kappa)[1] / (2.0 * mu[:, None, None, None])
+    # sigma : eps^m is sigma^m : eps, so that half of it goes with each of the two fluxes
+    mixed = [
+        ring.integral(flux_of(sigma, other[:, m], ring.axis) + flux_of(stress(other[:, m], lam, mu), ring.g, ring.axis))
+        for m in range(2)
+    ]
+    shear = ring.grid.comm.allreduce(float(mu.max(initial=0.0)), op=MPI.MAX)
     # E' = 8 mu / (kappa + 1) in both plane states
-    shear = grid.comm.allreduce(float(mu[cells].max(initial=0.0)), op=MPI.MAX)
-    return 4.0 * shear / (kappa + 1.0) * total
+    return 4.0 * shear / (kappa + 1.0) * np.array(mixed)
+
+
+def kink(KI: float, KII: float) -> float:
+    """The angle (radian) to its axis at which a crack grows on, where the hoop stress is largest (Erdogan and Sih 1963)."""
+    return 2.0 * math.atan2(-2.0 * KII, KI + math.hypot(KI, math.sqrt(8.0) * KII)) if KI or KII else 0.0
