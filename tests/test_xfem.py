@@ -52,6 +52,19 @@ def plain(crack, value):
     )
 
 
+def parted(crack):
+    """A motion that turns and shifts the body above the crack, the + side, and the one below as two rigid bodies."""
+    from geofem.methods.xfem import geometry
+
+    lines = geometry.polylines((Crack(tuple(crack)),))
+
+    def motion(x, t):
+        up = np.array([geometry.side(*p, lines, 0, 0.0) for p in np.asarray(x).T]) > 0
+        return t * np.where(up, [0.3 - 0.2 * x[1], 1.0 + 0.2 * x[0]], [0.5 * x[1], -0.1 - 0.5 * x[0]])
+
+    return motion
+
+
 # --- exact solutions --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     "crack",
@@ -68,19 +81,23 @@ def plain(crack, value):
 )
 def test_two_halves_move_apart_as_they_are_told(crack):
     """A crack from side to side: each half turns and shifts as a rigid body, which the jump functions represent exactly."""
-    from geofem.methods.xfem import geometry
-
-    lines = geometry.polylines((Crack(crack),))
-
-    def motion(x, t):
-        up = np.array([geometry.side(*p, lines, 0, 0.0) for p in np.asarray(x).T]) > 0
-        return t * np.where(up, [0.3 - 0.2 * x[1], 1.0 + 0.2 * x[0]], [0.5 * x[1], -0.1 - 0.5 * x[0]])
-
-    scene = plain(crack, motion)
-    model = methods.get("xfem").build(scene, n=10)
+    motion = parted(crack)
+    model = methods.get("xfem").build(plain(crack, motion), n=10)
     model.step(1.0)
     assert model.probe(Probe("error", "displacement_error", exact=motion)) < 1e-11
     assert abs(model.energy()["internal"]) < 1e-13  # rounding of x K x
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(st.floats(0.02, 0.98), st.floats(0.1, 0.9)), min_size=2, max_size=7), st.integers(3, 9))
+def test_any_polyline_parts_the_body(points, n):
+    """The same with any number of kinks in any cell, some of them sharper than a right angle."""
+    inner = sorted({round(x, 3): round(y, 3) for x, y in points}.items())
+    crack = ((-0.1, inner[0][1]), *inner, (1.1, inner[-1][1]))
+    motion = parted(crack)
+    model = methods.get("xfem").build(plain(crack, motion), n=n)
+    model.step(1.0)
+    assert model.probe(Probe("error", "displacement_error", exact=motion)) < 1e-9
 
 
 def test_energy_error_falls_like_the_cell_size():
@@ -210,15 +227,9 @@ LOADS = {
 @pytest.mark.parametrize("kind", LOADS)
 def test_loads_do_the_work_of_both_halves(kind):
     """Where two halves move as rigid bodies, loads do the work that their resultants on each do, exactly."""
-    from geofem.methods.xfem import geometry
-
-    lines = geometry.polylines((Crack(((-0.1, 0.45), (0.33, 0.52), (0.36, 0.4), (1.1, 0.43))),))
-
-    def motion(x, t):
-        up = np.array([geometry.side(*p, lines, 0, 0.0) for p in np.asarray(x).T]) > 0
-        return t * np.where(up, [0.3 - 0.2 * x[1], 1.0 + 0.2 * x[0]], [0.5 * x[1], -0.1 - 0.5 * x[0]])
-
-    scene = plain(((-0.1, 0.45), (0.33, 0.52), (0.36, 0.4), (1.1, 0.43)), motion)
+    crack = ((-0.1, 0.45), (0.33, 0.52), (0.36, 0.4), (1.1, 0.43))
+    motion = parted(crack)
+    scene = plain(crack, motion)
     model = methods.get("xfem").build(replace(scene, loads=(LOADS[kind],)), n=10)
     free = methods.get("xfem").build(scene, n=10)
     free.step(1.0)

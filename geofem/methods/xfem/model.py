@@ -31,19 +31,15 @@ FINE = Degrees(near=14, far=8, polar=16)
 """Rules with which errors and intensity factors are integrated."""
 FROM_END, FROM_BOUNDARY = 0.45, 0.7
 """The radius around a tip is at most this part of the distance to the crack's other end and other cracks, and to the boundary."""
+LEAST_CELLS = 2.5
+"""It is at least so many cells where there is room: nodes next to the tip carry no jump, and where the ramp falls from them
+already, the crack is held shut in part. With one layer of nodes, modes do not converge."""
+RING, INNER = 1.25, 0.8
+"""Radius of the ring where K is taken, and of the one that it is compared with, as multiples of that of the enrichment."""
+RING_CELLS = 2.0
+"""Rings are at least so many cells wide."""
 STRAIGHT = 1e-3
 """Sine of the angle up to which a crack behind its tip counts as straight."""
-LEAST_CELLS = 2.5
-"""... but at least so many cells: nodes next to the tip carry no jump, and where the ramp falls from them already, the crack is
-held shut in part. With one layer of nodes, modes do not converge."""
-RING = 1.25
-"""Radius of the ring of the interaction integral, as a multiple of that of the enrichment."""
-
-
-RING_CELLS = 2.0
-"""... but at least so many cells."""
-INNER = 0.8
-"""Radius of the ring that K is compared with, as a multiple of that of the enrichment."""
 
 
 class XfemModel:
@@ -69,8 +65,7 @@ class XfemModel:
         with phase("assembly"):
             self.standard = StandardBlock(self.forms.form("tangent"), self.grid)
         self.loads = Loads(scene, self.forms, body)
-        mesh_ = body.mesh
-        self.boundary = boundary_edges(self.grid, mesh.exterior_facet_indices(mesh_.topology))
+        self.boundary = boundary_edges(self.grid, mesh.exterior_facet_indices(body.mesh.topology))
         self.lines = polylines(scene.cracks)
         self.build()
         self.x = np.zeros(len(self.numbering.to_global))
@@ -213,10 +208,11 @@ class XfemModel:
         return sif.release(self._ring(tip, radius)) if self.t else 0.0
 
     def _ring(self, tip: int, radius: float | None) -> sif.Ring:
-        """The solution on a ring around a tip. Raises ``Mistake`` if that is finer than the mesh."""
-        if radius is None:
-            radius = min(RING * self.radii[tip], straight_part(self.lines, self.tips, tip))
-            radius = max(radius, RING_CELLS * self._cell[tip])
+        """The solution on a ring around a tip, by default the largest that suits it. Collective.
+
+        Raises ``Mistake`` if the ring is finer than the mesh.
+        """
+        radius = self._ring_radius(tip, RING) if radius is None else radius
         with phase("intensity"):
             cells, q = sif.around(self.grid, self.tips.at[tip], radius)
             if not self._largest(q):
@@ -224,6 +220,11 @@ class XfemModel:
             rule, acting = self.cutter.rule(cells, degrees=FINE), self.acting(cells)
             g = fields_at(rule, acting, self.world, self.x)[1]
             return sif.Ring(self.grid, rule, q, g, self.tips.axis[tip], self.lam, self.mu)
+
+    def _ring_radius(self, tip: int, multiple: float) -> float:
+        """The radius (m) of a ring: that multiple of the enrichment's, but no farther back than the crack is straight."""
+        back = straight_part(self.lines, self.tips, tip)
+        return max(min(multiple * self.radii[tip], back), RING_CELLS * self._cell[tip])
 
     @cached_property
     def _whole(self) -> tuple[Rule, CellEntries]:
@@ -271,8 +272,10 @@ class XfemModel:
         """The largest force out of balance, relative, and how far K differs between two rings: ``path``, the worst of all tips."""
         path = None
         if len(self.tips.at) and self.t:
-            outer = [self.intensity(tip) for tip in range(len(self.tips.at))]
-            inner = [self.intensity(tip, INNER * self.radii[tip]) for tip in range(len(self.tips.at))]
+            outer, inner = (
+                [self.intensity(tip, self._ring_radius(tip, multiple)) for tip in range(len(self.tips.at))]
+                for multiple in (RING, INNER)
+            )
             path = max(float(np.hypot(*(a - b)) / (np.hypot(*a) or 1.0)) for a, b in zip(outer, inner))
         return {"mass": None, "momentum": self._imbalance, "volume": None, "path": path}
 
