@@ -97,7 +97,8 @@ def test_any_polyline_parts_the_body(points, n):
     motion = parted(crack)
     model = methods.get("xfem").build(plain(crack, motion), n=n)
     model.step(1.0)
-    assert model.probe(Probe("error", "displacement_error", exact=motion)) < 1e-9
+    # a node whose support holds less than 1e-10 on its other side carries no jump
+    assert model.probe(Probe("error", "displacement_error", exact=motion)) < 1e-5
 
 
 def test_energy_error_falls_like_the_cell_size():
@@ -192,6 +193,31 @@ def test_energy_release_is_that_of_the_intensity_factors():
     _, model = built("inclined_crack", 40, beta=30.0)
     for tip in range(2):
         assert model.release(tip) == pytest.approx((model.intensity(tip) ** 2).sum() * (1 - 0.3**2), rel=5e-3)
+
+
+def test_a_crack_in_tension_grows_straight_and_releases_what_J_says():
+    scene, model = built("edge_crack", 30, a=0.3)
+    step = 0.04
+    for _ in range(5):
+        before, rate = model.energy(), model.release(0)
+        assert abs(model.grow(step)[0]) < 0.02
+        after = model.energy()
+        gain = (after["external"] - before["external"]) - (after["internal"] - before["internal"])
+        assert gain == pytest.approx(0.5 * (rate + model.release(0)) * step, rel=0.03)
+    assert model.tips.at[0] == pytest.approx((0.5, 0.0), abs=2e-3)
+    assert model.intensity(0)[0] == pytest.approx(2.82545 * np.sqrt(np.pi * 0.5), rel=0.012)
+
+
+def test_an_inclined_crack_turns_across_the_tension():
+    _, model = built("inclined_crack", 40, beta=45.0)
+    angles = model.grow(0.2)
+    infinite = -53.13  # K_I = K_II in a large plate
+    np.testing.assert_allclose(np.degrees(angles), infinite, atol=0.5)
+    for _ in range(3):
+        later = model.grow(0.2)
+    assert np.abs(later).max() < 0.12
+    at = model.tips.at
+    np.testing.assert_allclose(at[0], -at[1], atol=5e-3)
 
 
 def test_a_run_goes_on_from_its_state():

@@ -82,6 +82,18 @@ def find_tips(grid: Grid, lines: Lines, boundary: Array) -> Tips:
     )  # fmt: skip
 
 
+def extended(lines: Lines, tips: Tips, ends: Array) -> Lines:
+    """The cracks with a new segment from each tip to its place in ``ends`` (tips, 2), m."""
+    parts = []
+    for c in range(len(lines.start) - 1):
+        points = lines.points[lines.start[c] : lines.start[c + 1]]
+        for tip in np.flatnonzero(tips.crack == c):
+            new = ends[tip][None]
+            points = np.concatenate([points, new] if tips.turn[tip] > 0 else [new, points])
+        parts.append(points)
+    return Lines(np.concatenate(parts), np.cumsum([0, *map(len, parts)]).astype(np.int64))
+
+
 def cells_at(grid: Grid, x: Array) -> Array:
     """The cells of this rank that hold a point, those on whose side or corner it lies included."""
     return touched(Lines(np.array([x, x]), np.array([0, 2])), grid.X, grid.T, grid.bins)[0]

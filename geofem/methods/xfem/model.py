@@ -17,7 +17,7 @@ from geofem.methods.xfem import sif
 from geofem.methods.xfem.basis import World, blocks, fields_at
 from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of, sides_of
 from geofem.methods.xfem.fields import kolosov
-from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, find_tips, polylines, touching
+from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, extended, find_tips, polylines, touching
 from geofem.methods.xfem.grid import Grid, boundary_edges
 from geofem.methods.xfem.loads import EnrichedLoads
 from geofem.methods.xfem.picture import picture
@@ -75,6 +75,7 @@ class XfemModel:
 
     def build(self) -> None:
         """All that depends on where the cracks are: cut cells, enriched nodes, dofs, the matrix. Collective."""
+        self.__dict__.pop("_whole", None)
         with phase("cut"):
             lines = self.lines
             self.tips = find_tips(self.grid, lines, self.boundary)
@@ -172,6 +173,24 @@ class XfemModel:
         size = np.sqrt(self.system.dot(internal, internal)) or 1.0
         self._imbalance = max(self._imbalance, float(np.sqrt(self.system.dot(left, left)) / size))
         self.x, self._internal, self._external = x, internal, external
+
+    def grow(self, step: float) -> Array:
+        """Let each tip advance by a step (m) to where the hoop stress is largest, and balance the present load anew. Collective.
+
+        Returns the angles (tips,) to the former axes (radian). External work is counted for loads on uncracked boundary.
+        """
+        angles = np.array([sif.kink(*self.intensity(tip)) for tip in range(len(self.tips.at))])
+        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        ahead = self.tips.axis
+        ends = self.tips.at + step * (c * ahead + s * np.stack([-ahead[:, 1], ahead[:, 0]], axis=1))
+        nodes, owned = 2 * len(self.grid.X), 2 * self.grid.owned
+        u, external = self.x[:nodes], self._external[:owned]
+        self.lines = extended(self.lines, self.tips, ends)
+        self.build()
+        self.x = np.concatenate([u, np.zeros(len(self.numbering.to_global) - nodes)])
+        self._external = np.concatenate([external, np.zeros(self.numbering.owned - owned)])
+        self._balance(self.t)
+        return angles
 
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
