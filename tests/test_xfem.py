@@ -220,6 +220,13 @@ def test_an_inclined_crack_turns_across_the_tension():
     np.testing.assert_allclose(at[0], -at[1], atol=5e-3)
 
 
+def test_without_cracks_it_is_the_finite_element_method():
+    patch = geofem.run("patch", "xfem", n=3)
+    assert patch.status == "ok" and max(patch.error.values()) < 1e-10
+    ours, theirs = geofem.run("cook", "xfem", n=6), geofem.run("cook", "fem", n=6, order=1)
+    assert ours.qoi["uy"] == pytest.approx(theirs.qoi["uy"], rel=1e-10)
+
+
 def test_a_run_goes_on_from_its_state():
     scene = scenes.get("williams")()
     first, second = (methods.get("xfem").build(scene, n=10, steps=2) for _ in range(2))

@@ -109,10 +109,8 @@ class Enrichment:
         for v in range(3):
             along, to = corners[:, (v + 2) % 3] - corners[:, (v + 1) % 3], at - corners[:, (v + 1) % 3]
             hats[:, v] = 0.5 * (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / grid.area[cells]
-        inside = (hats > 10.0 * TOUCH).ravel()
-        return grid.sum_to_nodes(nodes, np.ones(len(nodes))) > 0.0, grid.sum_to_nodes(
-            nodes[inside], np.ones(inside.sum())
-        ) > 0.0
+        inside = (hats > 10.0 * TOUCH).ravel().astype(float)
+        return grid.sum_to_nodes(nodes, np.ones(len(nodes))) > 0.0, grid.sum_to_nodes(nodes, inside) > 0.0
 
     def _jump(self, c: int, cutter: Cutter, inside: list[Array]) -> tuple[Array, int, Array, Array]:
         """Nodes, function, values and ramps of the entries of one crack's jump. Collective.
@@ -160,8 +158,9 @@ class Enrichment:
 
     def _number(self, parts: list[tuple[Array, int, Array, Array]]) -> None:
         """Sort the entries by node and function, and number their dofs: first those of owned nodes, as nodes are sorted so."""
+        parts = [*parts, (np.empty(0, np.int64), 0, np.empty((0, 4)), np.empty(0))]  # there may be no crack
         node = np.concatenate([p[0] for p in parts])
-        function = np.concatenate([np.full(len(p[0]), p[1]) for p in parts])
+        function = np.concatenate([np.full(len(p[0]), p[1], np.int64) for p in parts])
         order = np.lexsort((function, node))
         node, function = node[order], function[order]
         width = WIDTH[self.functions.kind[function]]
