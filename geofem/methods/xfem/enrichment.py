@@ -87,7 +87,9 @@ class Enrichment:
         self.grid, self.lines, self.tips = grid, lines, tips
         cracks = len(lines.start) - 1
         near = [self._near_tip(t) for t in range(len(tips.turn))]
-        parts = [self._jump(c, cutter, [inside for _, inside in near]) for c in range(cracks)]
+        # within a disc, modes open the crack next to its tip, and a jump there would depend on them: the condition grows by half
+        apart = [held if choice is not None and choice.disc else inside for held, inside in near]
+        parts = [self._jump(c, cutter, apart) for c in range(cracks)]
         kinds, of, ramps = [JUMP] * cracks, list(range(cracks)), [False] * cracks
         if choice is not None:
             for t in range(len(tips.turn)):
@@ -112,10 +114,10 @@ class Enrichment:
         inside = (hats > 10.0 * TOUCH).ravel().astype(float)
         return grid.sum_to_nodes(nodes, np.ones(len(nodes))) > 0.0, grid.sum_to_nodes(nodes, inside) > 0.0
 
-    def _jump(self, c: int, cutter: Cutter, inside: list[Array]) -> tuple[Array, int, Array, Array]:
+    def _jump(self, c: int, cutter: Cutter, apart: list[Array]) -> tuple[Array, int, Array, Array]:
         """Nodes, function, values and ramps of the entries of one crack's jump. Collective.
 
-        A node whose support has a tip of the crack ``inside`` carries none: the crack does not part it.
+        apart : per tip, the nodes without jump (nodes,), among them all whose support has the tip inside: it is not parted.
         """
         grid = self.grid
         cells = crack_cells(cutter, c)
@@ -128,7 +130,7 @@ class Enrichment:
         opposite = grid.sum_to_nodes(nodes.ravel(), other.ravel())
         chosen = opposite > LEAST * grid.support
         for t in np.flatnonzero(self.tips.crack == c):
-            chosen &= ~inside[t]
+            chosen &= ~apart[t]
         found = np.flatnonzero(chosen)
         values = np.zeros((len(found), 4))
         values[:, 0] = sides(grid.X[found], self.lines, c, TOUCH * np.sqrt(grid.support[found]))[0]
