@@ -34,10 +34,11 @@ FROM_END, FROM_BOUNDARY = 0.45, 0.7
 LEAST_CELLS = 2.5
 """It is at least so many cells where there is room: nodes next to the tip carry no jump, and where the ramp falls from them
 already, the crack is held shut in part. With one layer of nodes, modes do not converge."""
-RING, INNER = 1.25, 0.8
-"""Radius of the ring where K is taken, and of the one that it is compared with, as multiples of that of the enrichment."""
-RING_CELLS = 2.0
-"""Rings are at least so many cells wide."""
+RING, INNER = 1.25, 0.64
+"""Radius of the ring where K is taken as a multiple of that of the enrichment, and of the one that it is compared with as a
+multiple of the first."""
+RING_CELLS, INNER_CELLS = 2.0, 1.5
+"""They are at least so many cells wide."""
 STRAIGHT = 1e-3
 """Sine of the angle up to which a crack behind its tip counts as straight."""
 
@@ -231,7 +232,7 @@ class XfemModel:
 
         Raises ``Mistake`` if the ring is finer than the mesh.
         """
-        radius = self._ring_radius(tip, RING) if radius is None else radius
+        radius = self._ring_radius(tip) if radius is None else radius
         with phase("intensity"):
             cells, q = sif.around(self.grid, self.tips.at[tip], radius)
             if not self._largest(q):
@@ -240,10 +241,10 @@ class XfemModel:
             g = fields_at(rule, acting, self.world, self.x)[1]
             return sif.Ring(self.grid, rule, q, g, self.tips.axis[tip], self.lam, self.mu)
 
-    def _ring_radius(self, tip: int, multiple: float) -> float:
-        """The radius (m) of a ring: that multiple of the enrichment's, but no farther back than the crack is straight."""
-        back = straight_part(self.lines, self.tips, tip)
-        return max(min(multiple * self.radii[tip], back), RING_CELLS * self._cell[tip])
+    def _ring_radius(self, tip: int) -> float:
+        """The radius (m) of the ring where K is taken: its cells pass no kink of the crack, where the mesh allows that."""
+        back = straight_part(self.lines, self.tips, tip) - self._cell[tip]
+        return max(min(RING * self.radii[tip], back), RING_CELLS * self._cell[tip])
 
     @cached_property
     def _whole(self) -> tuple[Rule, CellEntries]:
@@ -291,10 +292,9 @@ class XfemModel:
         """The largest force out of balance, relative, and how far K differs between two rings: ``path``, the worst of all tips."""
         path = None
         if len(self.tips.at) and self.t:
-            outer, inner = (
-                [self.intensity(tip, self._ring_radius(tip, multiple)) for tip in range(len(self.tips.at))]
-                for multiple in (RING, INNER)
-            )
+            outer = [self.intensity(tip) for tip in range(len(self.tips.at))]
+            radii = [max(INNER * self._ring_radius(t), INNER_CELLS * self._cell[t]) for t in range(len(self.tips.at))]
+            inner = [self.intensity(tip, radius) for tip, radius in enumerate(radii)]
             path = max(float(np.hypot(*(a - b)) / (np.hypot(*a) or 1.0)) for a, b in zip(outer, inner))
         return {"mass": None, "momentum": self._imbalance, "volume": None, "path": path}
 
