@@ -12,8 +12,8 @@ from numba import njit
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.cure import make_increment
 from geofem.methods.mpm.deeds import AGAIN, inlined, make_get_gradient, make_get_motion, make_put
-from geofem.methods.mpm.kind import OPTIONS, TINY, Answer, Kind
-from geofem.methods.mpm.scatter import make_cell, make_packs
+from geofem.methods.mpm.kind import OPTIONS, Answer, Kind
+from geofem.methods.mpm.scatter import make_cell, make_packs, make_unmoment
 from geofem.methods.mpm.shapes import SHAPES
 
 
@@ -25,6 +25,7 @@ def make_move(kind: Kind) -> Callable[..., Any]:
     """
     dim, loaded, apic, xpic = kind.dim, kind.loaded, kind.transfer == "apic", kind.transfer == "xpic"
     B, D = 3 * dim + dim * dim, 3 * dim + 2 * dim * dim
+    unmoment = make_unmoment(dim)
 
     @inlined
     def move(q, p, got, dt, flip, h):  # type: ignore[no-untyped-def]
@@ -42,23 +43,7 @@ def make_move(kind: Kind) -> Callable[..., Any]:
             q.v[p, c] = v
             square += v * v
         if apic:
-            if dim == 2:
-                a, b, d = max(got[D], TINY), got[D + 1], max(got[D + 2], TINY)
-                scale = 1.0 / ((a * d - b * b) * h)
-                for c in range(2):
-                    u, w = got[B + 2 * c], got[B + 2 * c + 1]
-                    q.C[p, 2 * c], q.C[p, 2 * c + 1] = scale * (u * d - w * b), scale * (w * a - u * b)
-            else:
-                a, b, c = max(got[D], TINY), got[D + 1], got[D + 2]
-                d, e, f = max(got[D + 3], TINY), got[D + 4], max(got[D + 5], TINY)
-                i0, i1, i2 = d * f - e * e, c * e - b * f, b * e - c * d
-                scale = 1.0 / ((a * i0 + b * i1 + c * i2) * h)
-                i3, i4, i5 = a * f - c * c, b * c - a * e, a * d - b * b
-                for r in range(3):
-                    u, v, w = got[B + 3 * r], got[B + 3 * r + 1], got[B + 3 * r + 2]
-                    q.C[p, 3 * r] = scale * (u * i0 + v * i1 + w * i2)
-                    q.C[p, 3 * r + 1] = scale * (u * i1 + v * i3 + w * i4)
-                    q.C[p, 3 * r + 2] = scale * (u * i2 + v * i4 + w * i5)
+            unmoment(q.C, p, got, B, got, D, 1.0 / h)
         return work, m * square, square
 
     return move
@@ -83,6 +68,12 @@ def make_gradient(dim: int) -> Callable[..., Any]:
             )  # fmt: skip
 
     return gradient
+
+
+@inlined
+def keep_state(q, p, new_state):  # type: ignore[no-untyped-def]
+    for k in range(len(new_state)):
+        q.state[p, k] = new_state[k]
 
 
 @cache
@@ -115,8 +106,7 @@ def make_deform(kind: Kind, answer: Answer) -> Callable[..., float]:
                 tau[0], tau[1], tau[2], tau[3] = txx, tyy, tzz, txy
                 return np.nan
             if stateful:
-                for k in range(len(new_state)):
-                    q.state[p, k] = new_state[k]
+                keep_state(q, p, new_state)
             if not spent:
                 return 0.0
             power = (txx + tau[0]) * lxx + (tyy + tau[1]) * lyy + (txy + tau[3]) * (lxy + lyx)
@@ -146,8 +136,7 @@ def make_deform(kind: Kind, answer: Answer) -> Callable[..., float]:
                     tau[k] = before[k]
                 return np.nan
             if stateful:
-                for k in range(len(new_state)):
-                    q.state[p, k] = new_state[k]
+                keep_state(q, p, new_state)
             if not spent:
                 return 0.0
             power = (before[0] + tau[0]) * L[0] + (before[1] + tau[1]) * L[4] + (before[2] + tau[2]) * L[8]

@@ -66,21 +66,21 @@ class ExplicitMpm(PointModel):
         self.load_steps, self.passages, self.tolerance, self.sort_after = load_steps, passages, tolerance, sort_after
         self._nodal = NodalStep(self.kind) if dt_control == "nodal" else None
         self._set_off()
-        self.wave_speed = max(self._speeds)
+        wave_speed = max(self._speeds)
         low, high = g.bodies(scene, self._bounds)
         self._sounds = self._speeds_of_waves()
-        self.passage = float(np.linalg.norm(high - low)) / self.wave_speed
-        self.point_mass = self.mass / sum(body.n for body in self.bodies)
+        self.passage = float(np.linalg.norm(high - low)) / wave_speed
+        point_mass = self.mass / sum(body.n for body in self.bodies)
         self.stepper = Stepper(
-            self.grid, self.bodies, self.kind, flip=flip, order=order, damping=damping, least_mass=LEAST_MASS * self.point_mass,
-            small_mass=small_mass * self.point_mass, threads=threads,
+            self.grid, self.bodies, self.kind, flip=flip, order=order, damping=damping, least_mass=LEAST_MASS * point_mass,
+            small_mass=small_mass * point_mass, threads=threads,
         )  # fmt: skip
         self.balance = answers.Balance(self.bodies, self.mass, spent, scheme == "usf")
         self._gravity = [load for load in scene.loads if load.kind == "gravity"]
         self._body_loads = [load for load in scene.loads if load.kind == "body"]
         self._strayed = 0.0
         self._fastest = self._largest_speed()
-        self._too_fast = TOO_FAST * (self.wave_speed + math.sqrt(self._fastest))
+        self._too_fast = TOO_FAST * (wave_speed + math.sqrt(self._fastest))
         self._unbalance = self._reactions = self._last_dt = 0.0
         self._divide()
         self.stepper.compile()

@@ -9,8 +9,8 @@ from numba import njit
 
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.deeds import AGAIN, inlined, make_get_gradient, make_get_spread, make_put, putting
-from geofem.methods.mpm.kind import OPTIONS, TINY, Kind
-from geofem.methods.mpm.scatter import make_packs
+from geofem.methods.mpm.kind import OPTIONS, Kind
+from geofem.methods.mpm.scatter import make_packs, make_unmoment
 from geofem.methods.mpm.shapes import SHAPES, turn
 
 
@@ -56,6 +56,13 @@ def make_tell(kind: Kind) -> Callable[..., None]:
     return tell
 
 
+@inlined
+def times(C, r, s):  # type: ignore[no-untyped-def]
+    """The row of a gradient that begins at r times the symmetric matrix s of space."""
+    x, y, z = C[r], C[r + 1], C[r + 2]
+    return x * s[0] + y * s[1] + z * s[2], x * s[1] + y * s[3] + z * s[4], x * s[2] + y * s[4] + z * s[5]
+
+
 @cache
 def make_keep_moments(kind: Kind) -> Callable[..., None]:
     """Affine velocities of points lo ... hi after they moved: what passes from step to step is their moment C D, with the second
@@ -66,44 +73,30 @@ def make_keep_moments(kind: Kind) -> Callable[..., None]:
     dim = kind.dim
     get = SHAPES[kind.shape].over(dim)(make_get_spread(dim))
     _, to_get = make_packs(dim, True, kind.shape)
+    unmoment = make_unmoment(dim)
     count = 3 * (dim - 1)
 
     @njit(**OPTIONS)
     def keep_moments(q, spread, lo, hi, lattice):  # type: ignore[no-untyped-def]
         for p in range(lo, hi):
-            start = to_get(q, p, lattice)
+            start, s = to_get(q, p, lattice), spread[p]
             if dim == 2:
                 got = get(q.x, lattice, q.at, q.domain, q.stretch, p, (start[8], start[9], 0.0, 0.0, 0.0))
-                a, b, d = max(got[2], TINY), got[3], max(got[4], TINY)
-                per = 1.0 / (a * d - b * b)
-                xx, xy, yy = spread[p, 0], spread[p, 1], spread[p, 2]
-                if xx > 0.0:
-                    for r in (0, 2):
-                        u, w = q.C[p, r] * xx + q.C[p, r + 1] * xy, q.C[p, r] * xy + q.C[p, r + 1] * yy
-                        q.C[p, r], q.C[p, r + 1] = per * (u * d - w * b), per * (w * a - u * b)
             else:
                 zeros = (start[15], start[16], start[17], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
                 got = get(q.x, lattice, q.at, q.domain, q.stretch, p, zeros)
-                a, b, c, d, e, f = max(got[3], TINY), got[4], got[5], max(got[6], TINY), got[7], max(got[8], TINY)
-                i0, i1, i2, i3, i4, i5 = (
-                    d * f - e * e,
-                    c * e - b * f,
-                    b * e - c * d,
-                    a * f - c * c,
-                    b * c - a * e,
-                    a * d - b * b,
-                )
-                per = 1.0 / (a * i0 + b * i1 + c * i2)
-                s = spread[p]
-                if s[0] > 0.0:
-                    for r in (0, 3, 6):
-                        x, y, z = q.C[p, r], q.C[p, r + 1], q.C[p, r + 2]
-                        u, v, w = x * s[0] + y * s[1] + z * s[2], x * s[1] + y * s[3] + z * s[4], x * s[2] + y * s[4] + z * s[5]
-                        q.C[p, r] = per * (u * i0 + v * i1 + w * i2)
-                        q.C[p, r + 1] = per * (u * i1 + v * i3 + w * i4)
-                        q.C[p, r + 2] = per * (u * i2 + v * i4 + w * i5)
+            if s[0] > 0.0:
+                C = q.C[p]
+                if dim == 2:
+                    moments = (
+                        C[0] * s[0] + C[1] * s[1], C[0] * s[1] + C[1] * s[2],
+                        C[2] * s[0] + C[3] * s[1], C[2] * s[1] + C[3] * s[2],
+                    )  # fmt: skip
+                else:
+                    moments = times(C, 0, s) + times(C, 3, s) + times(C, 6, s)
+                unmoment(q.C, p, moments, 0, got, dim, 1.0)
             for k in range(count):
-                spread[p, k] = got[dim + k]
+                s[k] = got[dim + k]
 
     return keep_moments
 

@@ -24,7 +24,7 @@ from numba import njit
 
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.deeds import FORCES, START, inlined, make_put
-from geofem.methods.mpm.kind import OPTIONS, Kind
+from geofem.methods.mpm.kind import OPTIONS, TINY, Kind
 from geofem.methods.mpm.shapes import SHAPES, make_extent
 
 
@@ -145,6 +145,38 @@ def make_det(kind: Kind) -> Callable[..., float]:
             )
 
     return det
+
+
+@cache
+def make_unmoment(dim: int) -> Callable[..., Any]:
+    """(C, p, M, k, D, m, factor) -> None: row by row C_p = factor M D^-1, for moments M of an affine velocity (from M[k] on) and second
+    moments D of weights (3 or 6 from D[m] on, row by row of the upper half), of which the diagonal is at least ``TINY``."""
+    if dim == 2:
+
+        @inlined
+        def unmoment(C, p, M, k, D, m, factor):  # type: ignore[no-untyped-def]
+            a, b, d = max(D[m], TINY), D[m + 1], max(D[m + 2], TINY)
+            scale = factor / (a * d - b * b)
+            for r in range(2):
+                u, w = M[k + 2 * r], M[k + 2 * r + 1]
+                C[p, 2 * r], C[p, 2 * r + 1] = scale * (u * d - w * b), scale * (w * a - u * b)
+
+    else:
+
+        @inlined
+        def unmoment(C, p, M, k, D, m, factor):  # type: ignore[no-untyped-def]
+            a, b, c = max(D[m], TINY), D[m + 1], D[m + 2]
+            d, e, f = max(D[m + 3], TINY), D[m + 4], max(D[m + 5], TINY)
+            i0, i1, i2 = d * f - e * e, c * e - b * f, b * e - c * d
+            i3, i4, i5 = a * f - c * c, b * c - a * e, a * d - b * b
+            scale = factor / (a * i0 + b * i1 + c * i2)
+            for r in range(3):
+                u, v, w = M[k + 3 * r], M[k + 3 * r + 1], M[k + 3 * r + 2]
+                C[p, 3 * r] = scale * (u * i0 + v * i1 + w * i2)
+                C[p, 3 * r + 1] = scale * (u * i1 + v * i3 + w * i4)
+                C[p, 3 * r + 2] = scale * (u * i2 + v * i4 + w * i5)
+
+    return unmoment
 
 
 @njit(**OPTIONS)

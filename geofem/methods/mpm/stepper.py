@@ -55,6 +55,7 @@ class Stepper:
         self.grid.nodes = np.zeros((count, columns))
         self._nodes = [self.grid.nodes, *(np.zeros((count, columns)) for _ in range(self.threads - 1))]
         self._cell_sums = [np.zeros((count if self.kind.cure else 0, 3)) for _ in range(self.threads)]
+        self.lattice, self.rows = self.grid.lattice, self.grid.rows
         self.box = (0,) * 6
 
     def share_points(self) -> None:
@@ -67,10 +68,10 @@ class Stepper:
         self._marks[:] = 0
         self._faulty = [()] * self.threads
         self._marks[:, g.BOX : g.BOX + 6 : 2] = g.FAR
-        rows, dim, scheme, columns = self.grid.rows, self.grid.dim, self.kind.scheme, self.grid.nodes.shape[1]
+        rows, dim, scheme, columns = self.rows, self.grid.dim, self.kind.scheme, self.grid.nodes.shape[1]
         self._over_nodes(lambda thread, box: g.clear(self.grid.nodes, 0, columns, box, rows))
         if self.kind.transfer == "apic":
-            keep, lattice = make_keep_moments(self.kind), self.grid.lattice
+            keep, lattice = make_keep_moments(self.kind), self.lattice
             self._over_points(lambda t, body, k, lo, hi: keep(body.cloud, body.arrays["spread"], lo, hi, lattice))
         self._scatter(START if scheme == "usf" else ALL)
         if self._marks[:, g.FAULT].any():
@@ -90,14 +91,14 @@ class Stepper:
 
     def gained(self, dt: float) -> float:
         """The change of the nodes' kinetic energy in the last step of dt (J)."""
-        return g.gained(self.grid.nodes, self.grid.dim, self.box, self.grid.rows, self.grid.own, dt) / self.ratio
+        return g.gained(self.grid.nodes, self.grid.dim, self.box, self.rows, self.grid.own, dt) / self.ratio
 
     def velocity(self) -> Array:
         """The velocity (nodes, d) that the points' momenta give the nodes of the rank's window now (m/s); zero where no point is."""
         nodes, marks = np.zeros_like(self.grid.nodes), np.zeros(g.MARKS, np.int64)
         scatter = make_scatter(self.kind, START if self.kind.scheme == "usf" else ALL)
         for body in self.bodies:
-            scatter(body.cloud, 0, body.N, nodes, self.grid.lattice, self._cell_sums[0], marks)
+            scatter(body.cloud, 0, body.N, nodes, self.lattice, self._cell_sums[0], marks)
         there = nodes[:, MASS] > self.least_mass
         out: Array = np.zeros((len(nodes), self.grid.dim))
         out[there] = nodes[there, VELOCITY : VELOCITY + self.grid.dim] / nodes[there, MASS][:, None]
@@ -136,15 +137,15 @@ class Stepper:
         rest = self._scratch[0], sums, self._marks[0]
         for body in self.bodies:
             if kind.transfer == "apic":
-                make_keep_moments(kind)(body.cloud, body.arrays["spread"], 0, 0, grid.lattice)
+                make_keep_moments(kind)(body.cloud, body.arrays["spread"], 0, 0, self.lattice)
             for what in (START, FORCES) if kind.scheme == "usf" else (ALL,):
-                make_scatter(kind, what)(body.cloud, 0, 0, grid.nodes, grid.lattice, self._cell_sums[0], self._marks[0])
+                make_scatter(kind, what)(body.cloud, 0, 0, grid.nodes, self.lattice, self._cell_sums[0], self._marks[0])
             make_advance(kind, body.answer if fused else None)(
-                body.cloud, 0, 0, 0, grid.nodes, grid.nodes, grid.lattice, body.par, 1.0, self.flip, self.h, *rest
+                body.cloud, 0, 0, 0, grid.nodes, grid.nodes, self.lattice, body.par, 1.0, self.flip, self.h, *rest
             )
             if not fused:
                 make_strain(kind, body.answer)(
-                    body.cloud, 0, 0, 0, grid.nodes, grid.lattice, self._cell_sums[0], body.par, 1.0, *rest
+                    body.cloud, 0, 0, 0, grid.nodes, self.lattice, self._cell_sums[0], body.par, 1.0, *rest
                 )
 
     # --- threads --------------------------------------------------------------------------------------------------------
@@ -180,7 +181,7 @@ class Stepper:
     # --- the parts of a step --------------------------------------------------------------------------------------------
     def _scatter(self, what: str) -> None:
         """Points to the grid."""
-        kind, lattice = self.kind, self.grid.lattice
+        kind, lattice = self.kind, self.lattice
         if kind.cure and what != START:
             self._sum_cells(make_pressures(kind), (0, 1))
         scatter = make_scatter(kind, what)
@@ -196,7 +197,7 @@ class Stepper:
     def _join(self, first: int, end: int) -> None:
         """Add what the other threads put into their own grids."""
         if self.threads > 1:
-            rows = self.grid.rows
+            rows = self.rows
 
             def add(thread: int, box: tuple[int, ...]) -> None:
                 for others in self._nodes[1:]:
@@ -206,7 +207,7 @@ class Stepper:
 
     def _sum_cells(self, sums: Callable[..., None], columns: tuple[int, ...], *more: Any) -> None:
         """Cell sums of the volumetric cure, of all threads."""
-        lattice = self.grid.lattice
+        lattice = self.lattice
         for cells in self._cell_sums:
             cells[:, columns] = 0.0
         self._over_points(lambda t, body, k, lo, hi: sums(body.cloud, lo, hi, *more, lattice, self._cell_sums[t]))
@@ -214,13 +215,13 @@ class Stepper:
             self._cell_sums[0][:, columns] += cells[:, columns]
 
     def _to_velocity(self, momentum: int, velocity: int) -> None:
-        dim, rows = self.grid.dim, self.grid.rows
+        dim, rows = self.grid.dim, self.rows
         self._over_nodes(lambda t, box: g.to_velocity(self.grid.nodes, momentum, velocity, dim, box, rows, self.least_mass))
 
     def _move(self, dt: float, gravity: tuple[float, float, float]) -> None:
         """The momentum balance on the nodes, and what the points make of it."""
-        grid, kind, dim, rows = self.grid, self.kind, self.grid.dim, self.grid.rows
-        nodes, held, walls, lattice = grid.nodes, self.held.arrays, self.walls.arrays, grid.lattice
+        grid, kind, dim, rows = self.grid, self.kind, self.grid.dim, self.rows
+        nodes, held, walls, lattice = grid.nodes, self.held.arrays, self.walls.arrays, self.lattice
         if kind.transfer == "xpic":
             self._without_noise()
         joined = 0
@@ -259,7 +260,7 @@ class Stepper:
 
     def _strain(self, dt: float) -> None:
         """Strains and stresses from the velocities on the grid."""
-        kind, lattice, nodes = self.kind, self.grid.lattice, self.grid.nodes
+        kind, lattice, nodes = self.kind, self.lattice, self.grid.nodes
         if kind.cure:
             if self.kind.scheme == "usf":
                 self._sum_cells(make_pressures(kind), (0, 1))
@@ -286,8 +287,8 @@ class Stepper:
     def _without_noise(self) -> None:
         """XPIC: the points' velocities without what the grid does not see, (I - (I - P)^m) v with P = S S^+ (Hammerquist & Nairn
         2017, eq. 19); they are kept in ``C``."""
-        dim, lattice, nodes = self.grid.dim, self.grid.lattice, self.grid.nodes
-        W, rows = 1 + 2 * dim, self.grid.rows
+        dim, lattice, nodes = self.grid.dim, self.lattice, self.grid.nodes
+        W, rows = 1 + 2 * dim, self.rows
         hear, tell = make_hear(self.kind, W), make_tell(self.kind)
         self._to_velocity(VELOCITY, W)
         for body in self.bodies:
