@@ -251,10 +251,12 @@ def leave(text: str, status: int) -> int:
         last = time.monotonic() + PATIENCE
         while not (together := request.Test()) and time.monotonic() < last:
             time.sleep(0.01)
-    if launched_rank() == 0 or not together:
-        print(text, file=sys.stderr, flush=True)
     if not together:
-        mpi.COMM_WORLD.Abort(status)
+        from geofem.core.mpi import abort
+
+        abort(text + "\n", status)
+    if launched_rank() == 0:
+        print(text, file=sys.stderr, flush=True)
     return status
 
 

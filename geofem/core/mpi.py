@@ -14,6 +14,14 @@ from mpi4py import MPI
 from geofem.mistake import Mistake
 
 
+def abort(text: str, status: int) -> None:
+    """Say why on stderr and end all ranks with this exit status."""
+    print(text, file=sys.stderr, flush=True, end="")
+    # mpirun kills the ranks at once, and now and then before it has passed on what they said last
+    time.sleep(0.5)
+    MPI.COMM_WORLD.Abort(status)
+
+
 def install_abort_hook() -> None:
     """End all ranks when one of them ends in an exception that nothing caught, instead of leaving them waiting for it.
 
@@ -26,13 +34,13 @@ def install_abort_hook() -> None:
             if world.rank:
                 # most mistakes are made by all ranks at once: let rank 0 say it and end the run
                 time.sleep(1.0)
-            print(f"geofem: {error}", file=sys.stderr, flush=True)
+            text, status = f"geofem: {error}\n", 2
         else:
             where = f"rank {world.rank} of {world.size}: " if world.size > 1 else ""
-            print(where + "".join(traceback.format_exception(kind, error, trace)), file=sys.stderr, flush=True, end="")
-        status = 2 if isinstance(error, Mistake) else 1
+            text, status = where + "".join(traceback.format_exception(kind, error, trace)), 1
         if world.size > 1:
-            world.Abort(status)
+            abort(text, status)
+        print(text, file=sys.stderr, flush=True, end="")
         # without other ranks the interpreter ends by itself, but with status 1 whatever the exception was
         sys.exit(status)
 
