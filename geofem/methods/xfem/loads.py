@@ -1,0 +1,118 @@
+"""The forces of loads on enriched dofs; those on standard dofs are the ones of a mesh without cracks."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from geofem.core.mesh import Body, facets
+from geofem.materials.kinematics import kernel
+from geofem.methods.xfem.basis import World, dofs_of, enriched, hat_gradients, hats, scratch, width_of
+from geofem.methods.xfem.enrichment import CellEntries
+from geofem.methods.xfem.grid import Grid, boundary_edges
+from geofem.methods.xfem.rules import Rule
+from geofem.methods.xfem.supports import crossings
+from geofem.scene import Array, Load, Scene
+
+POINTS = 8
+"""Gauss points on each part of a loaded edge: functions of a tip are no polynomials."""
+
+
+class Acting(NamedTuple):
+    """A load on enriched dofs: where it is integrated, the entries there, and for dead loads the forces themselves."""
+
+    load: Load
+    rule: Rule
+    acting: CellEntries
+    density: Array
+    dead: Array | None
+
+
+class EnrichedLoads:
+    """The loads of a scene on the enriched dofs of this rank's cells.
+
+    rule, acting : over the enriched cells. body : for the facets of tractions. local : number of local dofs.
+    """
+
+    def __init__(self, scene: Scene, grid: Grid, body: Body, world: World, rule: Rule, acting: CellEntries, local: int):
+        self.scene, self.world, self.local = scene, world, local
+        densities = np.array([region.material.density for region in scene.regions])[grid.region]
+        inside = np.repeat(densities[rule.cells], np.diff(rule.start))
+        self._parts: list[Acting] = []
+        place = np.full(len(grid.T), -1, np.int64)
+        place[rule.cells] = np.arange(len(rule.cells))
+        for load in scene.loads:
+            if load.kind == "body":
+                self._parts.append(Acting(load, rule, acting, inside, None))
+            elif load.kind == "gravity":
+                value = np.asarray(load.value, float)[:2] * inside[:, None]
+                self._parts.append(Acting(load, rule, acting, inside, forces(rule, acting, world, value, local)))
+            elif load.kind == "traction" and load.where is not None:
+                found = facets(body, load.where, "traction")
+                edges, cells = boundary_edges(grid, found), grid.cells_of_facets(found)
+                chosen = place[cells] >= 0
+                along = edge_rule(edges[chosen], cells[chosen], world)
+                here = rows_of(acting, place[cells[chosen]])
+                value = np.tile(np.asarray(load.value, float)[:2], (len(along.w), 1))
+                self._parts.append(Acting(load, along, here, np.ones(0), forces(along, here, world, value, local)))
+
+    def external(self, t: float) -> Array:
+        """Forces at all local dofs, not yet summed over ranks; zero at standard ones."""
+        total = np.zeros(self.local)
+        for part in self._parts:
+            factor = self.scene.amplitude(part.load, t)
+            if part.dead is not None:
+                total += factor * part.dead
+            else:
+                value = np.asarray(part.load.value(part.rule.x.T, t)).T * part.density[:, None]
+                total += factor * forces(part.rule, part.acting, self.world, value, self.local)
+        return total
+
+
+def rows_of(acting: CellEntries, rows: Array) -> CellEntries:
+    """The entries of some of the cells, in the given order."""
+    pieces = [np.arange(acting.start[k], acting.start[k + 1]) for k in rows]
+    index = np.concatenate([np.empty(0, np.int64), *pieces])
+    start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces], dtype=np.int64)])
+    return CellEntries(start, acting.vertex[index], acting.entry[index])
+
+
+def edge_rule(edges: Array, cells: Array, world: World) -> Rule:
+    """A rule along edges (k, 2) of the cells (k,), in parts between the cracks that cut them; weights are lengths (m)."""
+    gauss, weight = np.polynomial.legendre.leggauss(POINTS)
+    start, x, w = [0], [np.empty((0, 2))], [np.empty(0)]
+    lines = world.lines
+    for i, j in edges.tolist():
+        a, b = world.X[i], world.X[j]
+        cuts = [0.0, 1.0]
+        for c in range(len(lines.start) - 1):
+            cuts += crossings(a, b, lines.points[lines.start[c] : lines.start[c + 1]])
+        ends = np.unique(cuts)
+        t = (0.5 * (ends[1:] + ends[:-1])[:, None] + 0.5 * np.diff(ends)[:, None] * gauss).ravel()
+        x.append(a + t[:, None] * (b - a))
+        w.append((0.5 * np.diff(ends)[:, None] * weight).ravel() * np.hypot(*(b - a)))
+        start.append(start[-1] + len(t))
+    return Rule(cells, np.array(start, np.int64), np.concatenate(x), np.concatenate(w))
+
+
+@kernel
+def forces(rule: Rule, acting: CellEntries, world: World, f: Array, local: int) -> Array:
+    """The integral of f (points, 2) times the enriched basis functions, at all local dofs."""
+    out = np.zeros(local)
+    widest = 0
+    for k in range(rule.cells.shape[0]):
+        widest = max(widest, width_of(k, acting, world))
+    V, G = np.empty((widest, 2)), np.empty((widest, 2, 2))
+    dofs = np.empty(widest + 6, np.int64)
+    s = scratch()
+    for k in range(rule.cells.shape[0]):
+        cell = rule.cells[k]
+        n = dofs_of(k, cell, acting, world, dofs)
+        hat_gradients(cell, world, s.dN)
+        for q in range(rule.start[k], rule.start[k + 1]):
+            hats(rule.x[q, 0], rule.x[q, 1], cell, world, s)
+            enriched(rule.x[q, 0], rule.x[q, 1], k, acting, world, s, V, G)
+            for a in range(6, n):
+                out[dofs[a]] += rule.w[q] * (V[a - 6, 0] * f[q, 0] + V[a - 6, 1] * f[q, 1])
+    return out

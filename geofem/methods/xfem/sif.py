@@ -1,0 +1,105 @@
+"""Stress intensity factors by the interaction integral, and the energy release rate by the J integral, as domain integrals.
+
+With q = 1 near the tip and 0 outside a ring, sigma and u of the solution, W its energy density, and the axis 1 ahead of the tip,
+
+    J = int (sigma_ij u_i,1 - W delta_1j) q,j dA   (Rice 1968; Li, Shih and Needleman 1985).
+
+The mixed terms of J for the sum of the solution and the mode m with K_m = 1 (superscript m) give its intensity factor:
+
+    int (sigma_ij u^m_i,1 + sigma^m_ij u_i,1 - sigma_kl eps^m_kl delta_1j) q,j dA = 2 K_m / E'   (Yau, Wang and Corten 1980),
+
+E' = E / (1 - nu^2) in plane strain, E in plane stress. Valid where the crack is straight and free of traction inside the ring,
+no force of mass acts there, and the material is the same all around.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem.methods.xfem.basis import World
+from geofem.methods.xfem.enrichment import TIE
+from geofem.methods.xfem.fields import modes_at
+from geofem.methods.xfem.grid import Grid
+from geofem.methods.xfem.rules import Rule
+from geofem.scene import Array
+
+
+class Ring(NamedTuple):
+    """The solution on the cells of a ring.
+
+    rule : over its cells. q : (nodes,) weights of ``around``. g : (points, 2, 2) displacement gradients. axis : (2,) ahead.
+    lam, mu : (all cells,) Lame constants (Pa) in the plane.
+    """
+
+    grid: Grid
+    rule: Rule
+    q: Array
+    g: Array
+    axis: Array
+    lam: Array
+    mu: Array
+
+    @property
+    def owner(self) -> Array:
+        """The cell of each point."""
+        return np.repeat(self.rule.cells, np.diff(self.rule.start))
+
+    def integral(self, flux: Array) -> float:
+        """The integral of flux_j q,j of a flux (points, 2) over the ring on all ranks. Collective."""
+        nodes = self.grid.T[self.rule.cells]
+        corners, rise = self.grid.X[nodes], self.q[nodes]
+        b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        db, dc = rise[:, 1] - rise[:, 0], rise[:, 2] - rise[:, 0]
+        slope = np.stack([db * c[:, 1] - dc * b[:, 1], dc * b[:, 0] - db * c[:, 0]], axis=1)
+        slope /= 2.0 * self.grid.area[self.rule.cells, None]
+        each = np.repeat(slope, np.diff(self.rule.start), axis=0)
+        return float(self.grid.comm.allreduce(float(np.einsum("n,nj,nj->", self.rule.w, flux, each)), op=MPI.SUM))
+
+
+def around(grid: Grid, at: Array, radius: float) -> tuple[Array, Array]:
+    """The cells that the circle around a tip passes, and the nodal weights q (nodes,): 1 inside of it, 0 outside."""
+    q = (np.hypot(*(grid.X - at).T) < (1.0 + TIE) * radius).astype(float)
+    inside = q[grid.T].sum(axis=1)
+    return np.flatnonzero((inside > 0) & (inside < 3)), q
+
+
+def stress(g: Array, lam: Array, mu: Array) -> Array:
+    """The stress (n, 2, 2) in the plane (Pa) of displacement gradients (n, 2, 2); lam, mu : (n,) Lame constants in the plane."""
+    strain = 0.5 * (g + np.swapaxes(g, 1, 2))
+    trace = strain[:, 0, 0] + strain[:, 1, 1]
+    return 2.0 * mu[:, None, None] * strain + (lam * trace)[:, None, None] * np.eye(2)
+
+
+def flux_of(sigma: Array, g: Array, axis: Array) -> Array:
+    """sigma_ij g_ik axis_k - sigma_kl g_kl axis_j, (n, 2): twice the flux of J for a field with itself, less its first term."""
+    return np.einsum("nij,nik,k->nj", sigma, g, axis) - 0.5 * np.einsum("nij,nij->n", sigma, g)[:, None] * axis
+
+
+def release(ring: Ring) -> float:
+    """J, the energy release rate of a tip (J/m2). Collective."""
+    owner = ring.owner
+    return ring.integral(flux_of(stress(ring.g, ring.lam[owner], ring.mu[owner]), ring.g, ring.axis))
+
+
+def intensity(ring: Ring, world: World, tip: int, kappa: float) -> Array:
+    """K_I and K_II (2,) of a tip (Pa sqrt(m)). Collective."""
+    lam, mu = ring.lam[ring.owner], ring.mu[ring.owner]
+    sigma = stress(ring.g, lam, mu)
+    other = modes_at(ring.rule.x, world.lines, world.tips, tip, kappa)[1] / (2.0 * mu[:, None, None, None])
+    # sigma : eps^m is sigma^m : eps, so that half of it goes with each of the two fluxes
+    mixed = [
+        ring.integral(flux_of(sigma, other[:, m], ring.axis) + flux_of(stress(other[:, m], lam, mu), ring.g, ring.axis))
+        for m in range(2)
+    ]
+    shear = ring.grid.comm.allreduce(float(mu.max(initial=0.0)), op=MPI.MAX)
+    # E' = 8 mu / (kappa + 1) in both plane states
+    return 4.0 * shear / (kappa + 1.0) * np.array(mixed)
+
+
+def kink(KI: float, KII: float) -> float:
+    """The angle (radian) to its axis at which a crack grows on, where the hoop stress is largest (Erdogan and Sih 1963)."""
+    return 2.0 * math.atan2(-2.0 * KII, KI + math.hypot(KI, math.sqrt(8.0) * KII)) if KI or KII else 0.0
