@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from geofem.core.neartip import branches, modes
 from geofem.materials.kinematics import kernel
 from geofem.methods.xfem.enrichment import JUMP, MODES, WIDTH, CellEntries, Entries, Functions
-from geofem.methods.xfem.fields import branches, modes
 from geofem.methods.xfem.geometry import Lines, Tips, polar, side
 from geofem.methods.xfem.rules import Rule
 from geofem.scene import Array

@@ -21,15 +21,13 @@ import numpy as np
 from geofem.materials.kinematics import kernel
 from geofem.methods.xfem.fields import branches_at, modes_at
 from geofem.methods.xfem.geometry import TOUCH, Lines, Tips, cells_at, side, sides
-from geofem.methods.xfem.grid import Grid
+from geofem.methods.xfem.grid import TIE, Grid
 from geofem.methods.xfem.rules import ONE, Cutter, Triangles, double_area
 from geofem.scene import Array
 
 JUMP, MODES, BRANCHES = range(3)
 WIDTH = np.array([2, 2, 8])
 """Dofs of an entry of each kind."""
-TIE = 1e-9
-"""Nodes of a regular mesh often lie on the very circle; rounding must not choose among them."""
 LEAST = 1e-10
 """A node carries a jump only if more than this part of its support lies on the other side."""
 

@@ -11,6 +11,9 @@ from dolfinx import fem, la
 from geofem.core.locate import fill_bins
 from geofem.scene import Array
 
+TIE = 1e-9
+"""Nodes of a regular mesh often lie on the very circle; rounding must not choose among them."""
+
 
 class Bins(NamedTuple):
     """The cells whose bounding boxes touch each square of a uniform raster; see ``geofem.core.locate.fill_bins``."""
@@ -74,6 +77,20 @@ class Grid:
         vector.array[:] = values
         vector.scatter_forward()
         return vector.array.copy()
+
+    def around(self, at: Array, radius: float) -> tuple[Array, Array]:
+        """The cells that the circle around a point passes, and the nodal weights q (nodes,): 1 inside of it, 0 outside."""
+        q = (np.hypot(*(self.X - at).T) < (1.0 + TIE) * radius).astype(float)
+        inside = q[self.T].sum(axis=1)
+        return np.flatnonzero((inside > 0) & (inside < 3)), q
+
+    def slope(self, nodal: Array, cells: Array) -> Array:
+        """The gradient (m, 2) of linear nodal values (nodes,) in the cells (m,)."""
+        corners, rise = self.X[self.T[cells]], nodal[self.T[cells]]
+        b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        db, dc = rise[:, 1] - rise[:, 0], rise[:, 2] - rise[:, 0]
+        slope = np.stack([db * c[:, 1] - dc * b[:, 1], dc * b[:, 0] - db * c[:, 0]], axis=1)
+        return slope / (2.0 * self.area[cells, None])
 
     def cells_of_facets(self, found: Array) -> Array:
         """The cell of this rank at each boundary facet."""

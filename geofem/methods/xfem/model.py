@@ -9,14 +9,15 @@ import numpy as np
 from dolfinx import fem, mesh
 from mpi4py import MPI
 
+from geofem.core import intensity as sif
 from geofem.core.conditions import Loads
 from geofem.core.forms import Forms, Template
 from geofem.core.mesh import Body
+from geofem.core.neartip import kolosov
 from geofem.cost import phase
-from geofem.methods.xfem import sif
 from geofem.methods.xfem.basis import World, blocks, fields_at
 from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of, sides_of
-from geofem.methods.xfem.fields import kolosov
+from geofem.methods.xfem.fields import modes_at
 from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, extended, find_tips, polylines, touching
 from geofem.methods.xfem.grid import Grid, boundary_edges
 from geofem.methods.xfem.loads import EnrichedLoads
@@ -221,25 +222,30 @@ class XfemModel:
         """K_I and K_II (2,) of a tip (Pa sqrt(m)), by a ring of the given radius (m). Collective."""
         if self.t == 0.0:
             return np.zeros(2)
-        return sif.intensity(self._ring(tip, radius), self.world, tip, self.kappa[tip])
+        ring, x = self._ring(tip, radius)
+        return sif.intensity(ring, modes_at(x, self.lines, self.tips, tip, self.kappa[tip])[1], self.kappa[tip])
 
     def release(self, tip: int, radius: float | None = None) -> float:
         """The energy that is released per area of new crack, straight ahead of a tip (J/m2), by a ring. Collective."""
-        return sif.release(self._ring(tip, radius)) if self.t else 0.0
+        return sif.release(self._ring(tip, radius)[0]) if self.t else 0.0
 
-    def _ring(self, tip: int, radius: float | None) -> sif.Ring:
-        """The solution on a ring around a tip, by default the largest that suits it. Collective.
+    def _ring(self, tip: int, radius: float | None) -> tuple[sif.Ring, Array]:
+        """The solution on a ring around a tip, by default the largest that suits it, and the points (n, 2). Collective.
 
         Raises ``Mistake`` if the ring is finer than the mesh.
         """
         radius = self._ring_radius(tip) if radius is None else radius
         with phase("intensity"):
-            cells, q = sif.around(self.grid, self.tips.at[tip], radius)
+            cells, q = self.grid.around(self.tips.at[tip], radius)
             if not self._largest(q):
                 raise Mistake(f"there is no node within {radius:g} m of a crack tip, where K is taken; refine the mesh")
             rule, acting = self.cutter.rule(cells, degrees=FINE), self.acting(cells)
             g = fields_at(rule, acting, self.world, self.x)[1]
-            return sif.Ring(self.grid, rule, q, g, self.tips.axis[tip], self.lam, self.mu)
+            points = np.diff(rule.start)
+            slope, lam, mu = (
+                np.repeat(of, points, axis=0) for of in (self.grid.slope(q, cells), self.lam[cells], self.mu[cells])
+            )
+            return sif.Ring(self.comm, rule.w, slope, g, self.tips.axis[tip], lam, mu), rule.x
 
     def _ring_radius(self, tip: int) -> float:
         """The radius (m) of the ring where K is taken: its cells pass no kink of the crack, where the mesh allows that."""

@@ -20,51 +20,27 @@ from typing import NamedTuple
 import numpy as np
 from mpi4py import MPI
 
-from geofem.methods.xfem.basis import World
-from geofem.methods.xfem.enrichment import TIE
-from geofem.methods.xfem.fields import modes_at
-from geofem.methods.xfem.grid import Grid
-from geofem.methods.xfem.rules import Rule
 from geofem.scene import Array
 
 
 class Ring(NamedTuple):
-    """The solution on the cells of a ring.
+    """The solution at the quadrature points of the cells of a ring, those of this rank.
 
-    rule : over its cells. q : (nodes,) weights of ``around``. g : (points, 2, 2) displacement gradients. axis : (2,) ahead.
-    lam, mu : (all cells,) Lame constants (Pa) in the plane.
+    w : (n,) weights (m2). slope : (n, 2) gradient of q (1/m). g : (n, 2, 2) displacement gradients. axis : (2,) ahead of the tip.
+    lam, mu : (n,) Lame constants (Pa) in the plane.
     """
 
-    grid: Grid
-    rule: Rule
-    q: Array
+    comm: MPI.Comm
+    w: Array
+    slope: Array
     g: Array
     axis: Array
     lam: Array
     mu: Array
 
-    @property
-    def owner(self) -> Array:
-        """The cell of each point."""
-        return np.repeat(self.rule.cells, np.diff(self.rule.start))
-
     def integral(self, flux: Array) -> float:
-        """The integral of flux_j q,j of a flux (points, 2) over the ring on all ranks. Collective."""
-        nodes = self.grid.T[self.rule.cells]
-        corners, rise = self.grid.X[nodes], self.q[nodes]
-        b, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        db, dc = rise[:, 1] - rise[:, 0], rise[:, 2] - rise[:, 0]
-        slope = np.stack([db * c[:, 1] - dc * b[:, 1], dc * b[:, 0] - db * c[:, 0]], axis=1)
-        slope /= 2.0 * self.grid.area[self.rule.cells, None]
-        each = np.repeat(slope, np.diff(self.rule.start), axis=0)
-        return float(self.grid.comm.allreduce(float(np.einsum("n,nj,nj->", self.rule.w, flux, each)), op=MPI.SUM))
-
-
-def around(grid: Grid, at: Array, radius: float) -> tuple[Array, Array]:
-    """The cells that the circle around a tip passes, and the nodal weights q (nodes,): 1 inside of it, 0 outside."""
-    q = (np.hypot(*(grid.X - at).T) < (1.0 + TIE) * radius).astype(float)
-    inside = q[grid.T].sum(axis=1)
-    return np.flatnonzero((inside > 0) & (inside < 3)), q
+        """The integral of flux_j q,j of a flux (n, 2) over the ring on all ranks. Collective."""
+        return float(self.comm.allreduce(float(np.einsum("n,nj,nj->", self.w, flux, self.slope)), op=MPI.SUM))
 
 
 def stress(g: Array, lam: Array, mu: Array) -> Array:
@@ -81,21 +57,23 @@ def flux_of(sigma: Array, g: Array, axis: Array) -> Array:
 
 def release(ring: Ring) -> float:
     """J, the energy release rate of a tip (J/m2). Collective."""
-    owner = ring.owner
-    return ring.integral(flux_of(stress(ring.g, ring.lam[owner], ring.mu[owner]), ring.g, ring.axis))
+    return ring.integral(flux_of(stress(ring.g, ring.lam, ring.mu), ring.g, ring.axis))
 
 
-def intensity(ring: Ring, world: World, tip: int, kappa: float) -> Array:
-    """K_I and K_II (2,) of a tip (Pa sqrt(m)). Collective."""
-    lam, mu = ring.lam[ring.owner], ring.mu[ring.owner]
+def intensity(ring: Ring, modes: Array, kappa: float) -> Array:
+    """K_I and K_II (2,) of a tip (Pa sqrt(m)). Collective.
+
+    modes : (n, 2, 2, 2) gradients of 2 mu u of both modes with K = 1 at the points. kappa : Kolosov's constant.
+    """
+    lam, mu = ring.lam, ring.mu
     sigma = stress(ring.g, lam, mu)
-    other = modes_at(ring.rule.x, world.lines, world.tips, tip, kappa)[1] / (2.0 * mu[:, None, None, None])
+    other = modes / (2.0 * mu[:, None, None, None])
     # sigma : eps^m is sigma^m : eps, so that half of it goes with each of the two fluxes
     mixed = [
         ring.integral(flux_of(sigma, other[:, m], ring.axis) + flux_of(stress(other[:, m], lam, mu), ring.g, ring.axis))
         for m in range(2)
     ]
-    shear = ring.grid.comm.allreduce(float(mu.max(initial=0.0)), op=MPI.MAX)
+    shear = ring.comm.allreduce(float(mu.max(initial=0.0)), op=MPI.MAX)
     # E' = 8 mu / (kappa + 1) in both plane states
     return 4.0 * shear / (kappa + 1.0) * np.array(mixed)
 
