@@ -235,10 +235,37 @@ class Load:
 
 
 @dataclass(frozen=True)
+class Cohesion:
+    """Traction that faces which part still bear: rigid up to the ``strength`` (Pa), then falling linearly with the opening until
+    the ``energy`` (J/m2) is spent; unloading goes straight to the origin."""
+
+    strength: float
+    energy: float
+
+    def __post_init__(self) -> None:
+        if not (self.strength > 0 and self.energy > 0):
+            raise Mistake(f"Cohesion: strength = {self.strength:g} Pa and energy = {self.energy:g} J/m2 must be positive")
+
+
+@dataclass(frozen=True)
 class Crack:
-    """A crack: a polyline through ``points`` (2D); its end points that lie inside a body are tips."""
+    """A crack: a polyline through ``points`` (2D); its end points that lie inside a body are tips.
+
+    pressure : (x, t) -> (n,) of a fluid that pushes the faces apart (Pa), without further amplitude; None: the faces are dry.
+    friction : Coulomb's coefficient of faces that touch; 0 is smooth, None: they do not feel each other and may overlap.
+    cohesion : of faces that do not hold by more than that; they touch, without friction. None: they part freely.
+    """
 
     points: tuple[Point, ...]
+    pressure: Callable[[Array, float], Array] | None = None
+    friction: float | None = None
+    cohesion: Cohesion | None = None
+
+    def __post_init__(self) -> None:
+        if self.friction is not None and not self.friction >= 0:
+            raise Mistake(f"Crack: friction = {self.friction:g} must not be negative")
+        if self.friction and self.cohesion:
+            raise Mistake("Crack: gives both friction and cohesion; choose one, as cohesive faces touch without friction")
 
 
 # --- what is measured -------------------------------------------------------------------------------------------------
@@ -255,7 +282,10 @@ class Probe:
         ``mean_velocity`` component of the velocity of the centre of mass;
         ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n);
         ``energy_error`` square root of the strain energy (J) of u minus a displacement of gradient exact: (x, t) -> (gdim, gdim, n);
-        ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip nearest to the point ``at``.
+        ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip nearest to the point ``at``;
+        ``T`` regular stress along the axis (Pa) at that tip;
+        ``opening`` normal jump (m) of the displacement across the crack nearest to the point ``at``, negative where faces overlap;
+        ``opening_error`` root mean square over all cracks of opening - exact(x, t) (m), exact: (x, t) -> (n,).
     """
 
     name: str
