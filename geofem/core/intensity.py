@@ -14,7 +14,6 @@ no force of mass acts there, and the material is the same all around.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -76,8 +75,3 @@ def intensity(ring: Ring, modes: Array, kappa: float) -> Array:
     shear = ring.comm.allreduce(float(mu.max(initial=0.0)), op=MPI.MAX)
     # E' = 8 mu / (kappa + 1) in both plane states
     return 4.0 * shear / (kappa + 1.0) * np.array(mixed)
-
-
-def kink(KI: float, KII: float) -> float:
-    """The angle (radian) to its axis at which a crack grows on, where the hoop stress is largest (Erdogan and Sih 1963)."""
-    return 2.0 * math.atan2(-2.0 * KII, KI + math.hypot(KI, math.sqrt(8.0) * KII)) if KI or KII else 0.0
