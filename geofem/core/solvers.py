@@ -120,6 +120,11 @@ class LinearSolver:
         set_defaults(options)
         self.ksp.setFromOptions()
 
+    def destroy(self) -> None:
+        """Free what PETSc holds, not the matrix; nothing can be solved any more. Collective."""
+        for of in (self.ksp, self._b, self._x, self._left):
+            of.destroy()
+
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """A^-1 rhs for the owned dofs with the current entries of the matrix. Raises ``Breakdown`` (newton) where that fails."""
         with phase("solve"):

@@ -8,6 +8,7 @@ from geofem import materials
 from geofem.core import mesh as meshes
 from geofem.core.forms import Template
 from geofem.methods.xfem.enrichment import TIPS
+from geofem.methods.xfem.intact import Intact
 from geofem.methods.xfem.model import XfemModel
 from geofem.mistake import Mistake
 from geofem.scene import Scene
@@ -88,4 +89,4 @@ class Xfem:
             updated=False,
             degree=1,
         )
-        return XfemModel(scene, template, body, TIPS[enrichment], radius, steps)
+        return XfemModel(scene, Intact(template, body, scene.regions), TIPS[enrichment], radius, steps)

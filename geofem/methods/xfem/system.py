@@ -108,6 +108,12 @@ class System:
             self.mat = self._constrained()
         self._solver = LinearSolver(self, space, definite=True)
 
+    def destroy(self) -> None:
+        """Free all that PETSc holds. Collective."""
+        self._solver.destroy()
+        for of in (self.K, self.mat, self._x, self._b, self._scale, self._local, self._fetch):
+            of.destroy()
+
     def _assemble(self, standard: StandardBlock, blocks: tuple[Array, Array, Array]) -> PETSc.Mat:
         rows, columns, values = standard.triplets(self.numbering)
         extra_rows, extra_columns = (self.numbering.to_global[part] for part in blocks[:2])

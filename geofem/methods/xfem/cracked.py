@@ -1,0 +1,231 @@
+"""A linear elastic body with cracks at given places, solved on a mesh that knows nothing of them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem.core import intensity as sif
+from geofem.core.conditions import Loads
+from geofem.cost import phase
+from geofem.methods.xfem.basis import World, blocks, fields_at
+from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of, sides_of
+from geofem.methods.xfem.fields import modes_at
+from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, find_tips, touching
+from geofem.methods.xfem.intact import Intact
+from geofem.methods.xfem.loads import EnrichedLoads
+from geofem.methods.xfem.picture import picture
+from geofem.methods.xfem.rules import Cutter, Degrees, Rule
+from geofem.methods.xfem.supports import Supports
+from geofem.methods.xfem.system import Numbering, System
+from geofem.mistake import Mistake
+from geofem.scene import Array, Scene
+
+FINE = Degrees(near=14, far=8, polar=16)
+"""Rules with which errors and intensity factors are integrated."""
+FROM_END, FROM_BOUNDARY = 0.45, 0.7
+"""The radius around a tip is at most this part of the distance to the crack's other end and other cracks, and to the boundary."""
+LEAST_CELLS = 2.5
+"""It is at least so many cells where there is room: nodes next to the tip carry no jump, and where the ramp falls from them
+already, the crack is held shut in part. With one layer of nodes, modes do not converge."""
+RING, INNER = 1.25, 0.64
+"""Radius of the ring where K is taken as a multiple of that of the enrichment, and of the one that it is compared with as a
+multiple of the first."""
+RING_CELLS, INNER_CELLS = 2.0, 1.5
+"""They are at least so many cells wide."""
+STRAIGHT = 1e-3
+"""Sine of the angle up to which a crack behind its tip counts as straight."""
+
+
+class Cracked:
+    """A body with its cracks: cut cells, enriched nodes, dofs, the matrix, and the solution under the loads of a time. Made collectively.
+
+    Parameters
+    ----------
+    scene : for its supports and loads. loads : on the standard dofs. choice : how tips are enriched, None for jumps only.
+    radius : of the enrichment around a tip (m).
+    """
+
+    def __init__(self, intact: Intact, scene: Scene, loads: Loads, lines: Lines, choice: TipChoice | None, radius: float):
+        self.intact, self.loads, self.lines, self.radius = intact, loads, lines, radius
+        self.comm, self.grid, self.lam, self.mu = intact.comm, intact.grid, intact.lam, intact.mu
+        with phase("cut"):
+            self.tips = find_tips(self.grid, lines, intact.boundary)
+            self.kappa = self._kappa_at(self.tips)
+            touch = touching(self.grid, lines, self.tips)
+            self.cutter = Cutter(self.grid, lines, touch, self.tips.at)
+            self.radii = self._radii()
+            self.enrichment = Enrichment(self.grid, lines, self.tips, self.cutter, choice, self.radii, self.kappa)
+            self._parted = sides_of(self.cutter, len(lines.start) - 1)
+            entries, functions = self.enrichment.entries, self.enrichment.functions
+            self.world = World(self.grid.X, self.grid.T, entries, functions, lines, self.tips)
+            count = np.diff(entries.start)
+            cells = np.flatnonzero(count[self.grid.T].any(axis=1))
+            acting = self.acting(cells)
+            active = np.diff(acting.start) > 0
+            cells = cells[active]
+            acting = self.acting(cells)
+            self.rule = self.cutter.rule(cells, self._has_tip_functions(acting))
+            self.numbering = Numbering(self.grid, self.enrichment)
+            self.supports = Supports(scene, intact.body, self.grid, self.enrichment, self.world, self.numbering)
+        with phase("assembly"):
+            enriched = blocks(self.rule, acting, self.world, self.lam, self.mu)
+            self.enriched_loads = EnrichedLoads(
+                scene, self.grid, intact.body, self.world, self.rule, acting, len(self.numbering.to_global)
+            )
+        self.system = System(self.numbering, intact.standard, enriched, self.supports.dofs, intact.space)
+        self.x = np.zeros(len(self.numbering.to_global))
+        self.internal, self.external = np.zeros(self.numbering.owned), np.zeros(self.numbering.owned)
+        self.imbalance = 0.0
+
+    def destroy(self) -> None:
+        """Free the matrices and communicators. Collective."""
+        self.system.destroy()
+
+    def acting(self, cells: Array) -> CellEntries:
+        """The entries that act in the given cells."""
+        return entries_of(
+            cells, self.grid.T, self.enrichment.entries, self.enrichment.functions, self.cutter.place, self._parted
+        )
+
+    def _has_tip_functions(self, acting: CellEntries) -> Array:
+        """Which of the cells have functions of a tip."""
+        is_tip = self.enrichment.functions.kind[self.enrichment.entries.function[acting.entry]] != JUMP
+        owner = np.repeat(np.arange(len(acting.start) - 1), np.diff(acting.start))
+        return np.bincount(owner[is_tip], minlength=len(acting.start) - 1) > 0
+
+    def _kappa_at(self, tips: Tips) -> Array:
+        """Kolosov's constant of the region around each tip, the same on every rank. Collective."""
+        mine = [int(self.grid.region[cells_at(self.grid, at)].max(initial=-1)) for at in tips.at]
+        return np.array([self.intact.kappas[self.comm.allreduce(region, op=MPI.MAX)] for region in mine])
+
+    def _radii(self) -> Array:
+        """The radius of the enrichment of each tip, which stays off other ends, cracks and the boundary. Collective."""
+        lines, out = self.lines, []
+        self.cell = np.array([self._largest(self.grid.size[cells_at(self.grid, at)]) for at in self.tips.at])
+        for tip, (c, at) in enumerate(zip(self.tips.crack, self.tips.at)):
+            first, last = lines.start[c], lines.start[c + 1] - 1
+            own = float(np.hypot(*(lines.points[last] - lines.points[first])))
+            segments = [s for k in range(len(lines.start) - 1) if k != c for s in range(lines.start[k], lines.start[k + 1] - 1)]
+            other = distance_to(at, np.stack([lines.points[segments], lines.points[np.array(segments, int) + 1]], axis=1))
+            boundary = self.comm.allreduce(distance_to(at, self.grid.X[self.intact.boundary]), op=MPI.MIN)
+            wish = max(self.radius, LEAST_CELLS * self.cell[tip])
+            out.append(min(wish, FROM_END * own, FROM_END * other, FROM_BOUNDARY * boundary))
+        return np.array(out)
+
+    def _largest(self, values: Array) -> float:
+        """The largest value on any rank, 0 without one. Collective."""
+        return float(self.comm.allreduce(float(values.max(initial=0.0)), op=MPI.MAX))
+
+    # --- the solution ---------------------------------------------------------------------------------------------
+    def force(self, t: float) -> Array:
+        """The external forces at the owned dofs, in global order."""
+        with phase("loads"):
+            force = self.system.sum_to_owned(self.enriched_loads.external(t))
+        force[: 2 * self.grid.owned] = self.loads.external(t)[: 2 * self.grid.owned]
+        return force
+
+    def solve(self, t: float) -> None:
+        """Balance the loads and supports of time t. Raises ``Breakdown`` if the matrix is singular. Collective.
+
+        x : local dofs. internal, external : forces at owned dofs; external ones are loads, and reactions where the
+        displacement is prescribed. imbalance : their difference, relative.
+        """
+        force = self.force(t)
+        with phase("supports"):
+            values = self.supports.values(t)
+        self.x = self.system.solve(force, values)
+        self.internal = self.system.internal_force(self.x)
+        self.external = force
+        self.external[self.system.held_places] = self.internal[self.system.held_places]
+        left = self.internal - self.external
+        size = np.sqrt(self.system.dot(self.internal, self.internal)) or 1.0
+        self.imbalance = float(np.sqrt(self.system.dot(left, left)) / size)
+
+    def strain_energy(self) -> float:
+        """Strain energy (J). Collective."""
+        return 0.5 * self.system.dot(self.internal, self.x[self.numbering.local_owned])
+
+    def intensity(self, tip: int, radius: float | None = None) -> Array:
+        """K_I and K_II (2,) of a tip (Pa sqrt(m)), by a ring of the given radius (m). Collective."""
+        ring, x = self._ring(tip, radius)
+        return sif.intensity(ring, modes_at(x, self.lines, self.tips, tip, self.kappa[tip])[1], self.kappa[tip])
+
+    def release(self, tip: int, radius: float | None = None) -> float:
+        """The energy that is released per area of new crack, straight ahead of a tip (J/m2), by a ring. Collective."""
+        return sif.release(self._ring(tip, radius)[0])
+
+    def _ring(self, tip: int, radius: float | None) -> tuple[sif.Ring, Array]:
+        """The solution on a ring around a tip, by default the largest that suits it, and the points (n, 2). Collective.
+
+        Raises ``Mistake`` if the ring is finer than the mesh.
+        """
+        radius = self.ring_radius(tip) if radius is None else radius
+        with phase("intensity"):
+            cells, q = self.grid.around(self.tips.at[tip], radius)
+            if not self._largest(q):
+                raise Mistake(f"there is no node within {radius:g} m of a crack tip, where K is taken; refine the mesh")
+            rule, acting = self.cutter.rule(cells, degrees=FINE), self.acting(cells)
+            g = fields_at(rule, acting, self.world, self.x)[1]
+            points = np.diff(rule.start)
+            slope, lam, mu = (
+                np.repeat(of, points, axis=0) for of in (self.grid.slope(q, cells), self.lam[cells], self.mu[cells])
+            )
+            return sif.Ring(self.comm, rule.w, slope, g, self.tips.axis[tip], lam, mu), rule.x
+
+    def ring_radius(self, tip: int) -> float:
+        """The radius (m) of the ring where K is taken: its cells pass no kink of the crack, where the mesh allows that."""
+        back = straight_part(self.lines, self.tips, tip) - self.cell[tip]
+        return max(min(RING * self.radii[tip], back), RING_CELLS * self.cell[tip])
+
+    @cached_property
+    def whole(self) -> tuple[Rule, CellEntries]:
+        """A fine rule over all cells."""
+        cells = np.arange(len(self.grid.T))
+        return self.cutter.rule(cells, degrees=FINE), self.acting(cells)
+
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """Displacement (2,) and stress (4,), as in snapshots, at a point; the + side of a crack it lies on. Collective.
+
+        Raises ``Mistake`` if the point is in no cell.
+        """
+        cells = cells_at(self.grid, x)[:1]
+        found = None
+        if len(cells):
+            rule = Rule(cells, np.array([0, 1]), x[None], np.ones(1))
+            u, g = fields_at(rule, self.acting(cells), self.world, self.x)
+            found = u[0], self.stress(g, cells)[0]
+        for answer in self.comm.allgather(found):
+            if answer is not None:
+                return answer
+        raise Mistake(f"the point {tuple(x.tolist())} lies outside the mesh; give a point of the body")
+
+    def stress(self, g: Array, cell: Array) -> Array:
+        """Stress (n, 4): xx, yy, zz, xy (Pa) of displacement gradients g (n, 2, 2) in the cells (n,)."""
+        sigma = sif.stress(g, self.lam[cell], self.mu[cell])
+        across = self.lam[cell] * (g[:, 0, 0] + g[:, 1, 1]) * (self.intact.plane != "plane_stress")
+        return np.stack([sigma[:, 0, 0], sigma[:, 1, 1], across, sigma[:, 0, 1]], axis=1)
+
+    def nodal(self) -> Array:
+        """The displacement of the nodes (nodes, 2), m; those on a crack move with its + side."""
+        return self.x[: 2 * len(self.grid.X)].reshape(-1, 2)
+
+    def snapshot(self) -> dict[str, Any]:
+        """See ``geofem.methods.Model.snapshot``. Collective."""
+        return picture(self.grid, self.cutter, self.world, self.x, self.acting, self.stress)
+
+
+def straight_part(lines: Lines, tips: Tips, tip: int) -> float:
+    """Length (m) of the crack behind a tip up to its first kink."""
+    first, last = lines.start[tips.crack[tip]], lines.start[tips.crack[tip] + 1] - 1
+    points = lines.points[first : last + 1]
+    if tips.point[tip] == last:
+        points = points[::-1]
+    behind = points[0] - points
+    off = np.abs(behind[:, 0] * tips.axis[tip, 1] - behind[:, 1] * tips.axis[tip, 0])
+    length = np.hypot(*behind.T)
+    bent = np.flatnonzero(off > STRAIGHT * length)
+    return float(length[bent[0] - 1] if len(bent) else length[-1])
