@@ -19,7 +19,6 @@ terms, where the other field has no forces.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -126,8 +125,3 @@ def tension(
     # E' times the mixed terms is T - sigma_22, sigma_22 = -pressure: eps_11 of the regular part, and sigma_22 times the constant
     # opening that the point force gives the crack
     return 8.0 * ring.modulus / (kappa + 1.0) * mixed(ring, point, forces, there) - pressure
-
-
-def kink(KI: float, KII: float) -> float:
-    """The angle (radian) to its axis at which a crack grows on, where the hoop stress is largest (Erdogan and Sih 1963)."""
-    return 2.0 * math.atan2(-2.0 * KII, KI + math.hypot(KI, math.sqrt(8.0) * KII)) if KI or KII else 0.0

@@ -149,6 +149,7 @@ class Cracked:
         x : local dofs. internal, external : forces at owned dofs; external ones are loads, and reactions where the
         displacement is prescribed. imbalance : their difference, relative. traction : on the + faces (n, 2), Pa.
         """
+        self.__dict__.pop("factors", None)
         force = self.force(t)
         self.t, self.traction = t, self.pressure(t)
         with phase("supports"):
@@ -164,6 +165,13 @@ class Cracked:
     def strain_energy(self) -> float:
         """Strain energy (J). Collective."""
         return 0.5 * self.system.dot(self.internal, self.x[self.numbering.local_owned])
+
+    @cached_property
+    def factors(self) -> tuple[Array, Array]:
+        """K_I and K_II (tips, 2), Pa sqrt(m), and J (tips,), J/m2, of all tips, once a solution. Collective."""
+        tips = range(len(self.tips.at))
+        K = np.array([self.intensity(tip) for tip in tips]).reshape(-1, 2)
+        return K, np.array([self.release(tip) for tip in tips])
 
     def intensity(self, tip: int, radius: float | None = None) -> Array:
         """K_I and K_II (2,) of a tip (Pa sqrt(m)), by a ring of the given radius (m). Collective."""

@@ -53,9 +53,13 @@ class Touch(NamedTuple):
 
 def polylines(cracks: tuple[Crack, ...]) -> Lines:
     """The cracks of a scene as arrays."""
-    counts = [len(crack.points) for crack in cracks]
-    points = np.array([point for crack in cracks for point in crack.points], float).reshape(-1, 2)
-    return Lines(points, np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]))
+    return lines_of([np.array(crack.points, float) for crack in cracks])
+
+
+def lines_of(paths: list[Array]) -> Lines:
+    """Polylines (n, 2), m, as arrays."""
+    counts = [len(path) for path in paths]
+    return Lines(np.concatenate([np.empty((0, 2)), *paths]), np.cumsum([0, *counts]).astype(np.int64))
 
 
 def find_tips(grid: Grid, lines: Lines, boundary: Array) -> Tips:
@@ -80,18 +84,6 @@ def find_tips(grid: Grid, lines: Lines, boundary: Array) -> Tips:
         np.array(columns[0], float).reshape(-1, 2), np.array(columns[1], float).reshape(-1, 2),
         np.array(columns[2], float), np.array(columns[3], np.int64), np.array(columns[4], np.int64),
     )  # fmt: skip
-
-
-def extended(lines: Lines, tips: Tips, ends: Array) -> Lines:
-    """The cracks with a new segment from each tip to its place in ``ends`` (tips, 2), m."""
-    parts = []
-    for c in range(len(lines.start) - 1):
-        points = lines.points[lines.start[c] : lines.start[c + 1]]
-        for tip in np.flatnonzero(tips.crack == c):
-            new = ends[tip][None]
-            points = np.concatenate([points, new] if tips.turn[tip] > 0 else [new, points])
-        parts.append(points)
-    return Lines(np.concatenate(parts), np.cumsum([0, *map(len, parts)]).astype(np.int64))
 
 
 def cells_at(grid: Grid, x: Array) -> Array:
