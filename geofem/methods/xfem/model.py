@@ -15,8 +15,9 @@ from geofem.cost import phase
 from geofem.methods.xfem.basis import fields_at
 from geofem.methods.xfem.cracked import INNER, INNER_CELLS, Cracked
 from geofem.methods.xfem.enrichment import TipChoice
-from geofem.methods.xfem.geometry import Lines, extended, polylines
+from geofem.methods.xfem.geometry import Lines, polylines
 from geofem.methods.xfem.intact import Intact
+from geofem.methods.xfem.junctions import extended
 from geofem.mistake import Mistake
 from geofem.scene import Array, Probe, Scene
 
