@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geofem.growing import grow, vary
     from geofem.mistake import Breakdown, Mistake
     from geofem.result import Result
     from geofem.runner import run
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
         Box,
         Crack,
         Disc,
+        Growth,
         Load,
         Material,
         Measure,
@@ -52,13 +54,16 @@ _caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_caches / "geofem" / f"numba-{_stamp}"))
 
 __all__ = [
-    "Box", "Breakdown", "Crack", "Disc", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe",
-    "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Support", "Wall", "compare", "run",
+    "Box", "Breakdown", "Crack", "Disc", "Growth", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe",
+    "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Support", "Wall", "compare", "grow", "run",
+    "vary",
 ]  # fmt: skip
 
 _HOMES = {
     "run": "geofem.runner",
     "compare": "geofem.study.sweep",
+    "grow": "geofem.growing",
+    "vary": "geofem.growing",
     "Result": "geofem.result",
     "Mistake": "geofem.mistake",
     "Breakdown": "geofem.mistake",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-CAUSES = ("tangle", "newton", "cfl", "energy", "fracture", "nullspace", "cond", "volume", "timeout")
+CAUSES = ("tangle", "newton", "cfl", "arrest", "energy", "fracture", "nullspace", "cond", "volume", "timeout")
 
 
 class Mistake(Exception):

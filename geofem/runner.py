@@ -235,10 +235,10 @@ class Run:
             self.fields.write(self.model.t)
 
     def break_down(self, end: Breakdown) -> None:
-        """Note where and why the method came to its end; losing equilibrium is what a collapse scene looks for."""
+        """Note where and why the run came to its end; losing equilibrium ends a collapse scene well, and so does the rest of all cracks."""
         self.result.at = self.place()
         self.result.message = str(end)
-        if not (self.scene.collapse and end.cause == "newton"):
+        if end.cause != "arrest" and not (self.scene.collapse and end.cause == "newton"):
             self.result.status, self.result.cause = "failed", end.cause
 
     def place(self) -> dict[str, float]:

@@ -219,7 +219,8 @@ class Load:
         ``traction`` (value: dead force per reference area, Pa), ``pressure`` (value: scalar, Pa, follows the boundary,
         positive when it pushes into the body).
     where : for tractions and pressures, the part of the boundary.
-    amplitude : factor as a function of t; by default t itself (a ramp to 1) in a static scene and 1 in a dynamic one.
+    amplitude : factor as a function of t; by default t itself (a ramp to 1) in a static scene, and 1 in a dynamic one
+        and where cracks grow.
     """
 
     kind: str
@@ -235,10 +236,80 @@ class Load:
 
 
 @dataclass(frozen=True)
+class Cohesion:
+    """Traction that faces which part still bear: rigid up to the ``strength`` (Pa), then falling linearly with the opening until
+    the ``energy`` (J/m2) is spent; unloading goes straight to the origin."""
+
+    strength: float
+    energy: float
+
+    def __post_init__(self) -> None:
+        if not (self.strength > 0 and self.energy > 0):
+            raise Mistake(f"Cohesion: strength = {self.strength:g} Pa and energy = {self.energy:g} J/m2 must be positive")
+
+
+@dataclass(frozen=True)
 class Crack:
-    """A crack: a polyline through ``points`` (2D); its end points that lie inside a body are tips."""
+    """A crack: a polyline through ``points`` (2D); its end points that lie inside a body are tips.
+
+    pressure : (x, t) -> (n,) of a fluid that pushes the faces apart (Pa), without further amplitude; None: the faces are dry.
+    friction : Coulomb's coefficient of faces that touch; 0 is smooth, None: they do not feel each other and may overlap.
+    cohesion : of faces that do not hold by more than that; they touch, without friction. None: they part freely.
+    """
 
     points: tuple[Point, ...]
+    pressure: Callable[[Array, float], Array] | None = None
+    friction: float | None = None
+    cohesion: Cohesion | None = None
+
+    def __post_init__(self) -> None:
+        if self.friction is not None and not self.friction >= 0:
+            raise Mistake(f"Crack: friction = {self.friction:g} must not be negative")
+        if self.friction and self.cohesion:
+            raise Mistake("Crack: gives both friction and cohesion; choose one, as cohesive faces touch without friction")
+
+
+CRITERIA = ("hoop", "energy", "symmetry")
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How the cracks of a scene grow under its loads, which act in full from the start: t is the way of the fastest tip (m).
+
+    length : how far the fastest tip goes (m); the scene's ``t_end``.
+    criterion : which way a tip turns: hoop, energy or symmetry, see ``geofem.core.growth``.
+    toughness : K_Ic (Pa sqrt(m)): the load is taken so that the most loaded tip just moves, and others stay. Fields and factors
+        remain those of the scene's load; ``load`` is the factor on it.
+    paris : C and m of da/dN = C dK^m (m per cycle, K in Pa sqrt(m)) for a load that pulsates from zero: tips go on in
+        proportion to their rates, and cycles are counted (Paris and Erdogan 1963).
+    threshold : K (Pa sqrt(m)) up to which a tip stays.
+    strength : tensile strength (Pa): where the largest principal stress exceeds it, on the boundary or inside, a straight
+        crack of the length ``germ`` (m) opens across it, no nearer to other cracks than that length.
+    """
+
+    length: float
+    criterion: str = "hoop"
+    toughness: float | None = None
+    paris: tuple[float, float] | None = None
+    threshold: float = 0.0
+    strength: float | None = None
+    germ: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.length > 0:
+            raise Mistake(f"Growth: the length that the fastest tip goes is positive (m), not {self.length:g}")
+        if self.criterion not in CRITERIA:
+            raise Mistake(f"Growth: the criterion is one of {', '.join(CRITERIA)}, not {self.criterion!r}")
+        if self.toughness is not None and (self.paris is not None or not self.toughness > 0):
+            raise Mistake(
+                "Growth: toughness is positive, and for a load that rises; Paris' law is for one that pulsates: give one"
+            )
+        if self.paris is not None and not (len(self.paris) == 2 and self.paris[0] > 0 and self.paris[1] > 0):
+            raise Mistake(f"Growth: Paris' law has two positive constants, C and m, not {self.paris}")
+        if not self.threshold >= 0:
+            raise Mistake(f"Growth: the threshold of K must not be negative, got {self.threshold:g}")
+        if (self.strength is None) != (self.germ is None) or not all(x is None or x > 0 for x in (self.strength, self.germ)):
+            raise Mistake("Growth: for cracks to be born give both, a positive strength (Pa) and their length germ (m)")
 
 
 # --- what is measured -------------------------------------------------------------------------------------------------
@@ -255,7 +326,13 @@ class Probe:
         ``mean_velocity`` component of the velocity of the centre of mass;
         ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n);
         ``energy_error`` square root of the strain energy (J) of u minus a displacement of gradient exact: (x, t) -> (gdim, gdim, n);
-        ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip nearest to the point ``at``.
+        ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip that started nearest to the point ``at``; 0 once it
+        has stopped;
+        ``T`` regular stress along the axis (Pa) at that tip;
+        ``opening`` normal jump (m) of the displacement across the crack nearest to the point ``at``, negative where faces overlap;
+        ``opening_error`` root mean square over all cracks of opening - exact(x, t) (m), exact: (x, t) -> (n,);
+        ``tip`` coordinate ``component`` (m) of that tip, where cracks grow;
+        ``load`` the factor on the loads at which the most loaded tip moves, ``cycles`` of load so far; see ``Growth``.
     """
 
     name: str
@@ -317,6 +394,7 @@ class Scene:
     length : the scene's own length (m): ``n`` cells of a method lie across it.
     strain : ``small`` or ``finite``.
     dynamic : False: inertia is ignored, t is a load factor and 0 < t <= t_end is reached in steps.
+    growth : how the cracks grow; then t is the way of the fastest tip (m), and t_end its length.
     period : the time (s) of one oscillation of a dynamic scene, by which methods choose their step; t_end if None.
     singular : points where the exact stress is singular or jumps: a method may grade its cells towards them.
     walls, rigids : what the bodies may touch and leave again.
@@ -344,6 +422,7 @@ class Scene:
     period: float | None = None
     initial_velocity: Callable[[Array], Array] | None = None
     cracks: tuple[Crack, ...] = ()
+    growth: Growth | None = None
     walls: tuple[Wall, ...] = ()
     rigids: tuple[Rigid, ...] = ()
     singular: tuple[Point, ...] = ()
@@ -363,6 +442,8 @@ class Scene:
             raise Mistake(f"scene {self.name}: strain is small or finite, not {self.strain!r}")
         if not self.regions:
             raise Mistake(f"scene {self.name}: has no region; give it at least one body")
+        if self.growth is not None:
+            object.__setattr__(self, "t_end", self.growth.length)
         names = [*(s.name for s in self.supports), *(w.name for w in self.walls), *(r.name for r in self.rigids)]
         for probe in self.probes:
             if probe.quantity == "reaction" and probe.of not in names:
@@ -376,4 +457,4 @@ class Scene:
         """The factor of a load at time t."""
         if load.amplitude is not None:
             return load.amplitude(t)
-        return 1.0 if self.dynamic else t
+        return 1.0 if self.dynamic or self.growth is not None else t

@@ -1,4 +1,4 @@
-"""The parts of the extended finite element method one by one: rules on cut cells, sides and angles, fields, the kink."""
+"""The parts of the extended finite element method one by one: rules on cut cells, sides and angles, and fields."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import pytest
 from mpi4py import MPI
 
 from geofem.core import mesh as meshes
-from geofem.core.intensity import kink
 from geofem.core.neartip import kolosov
 from geofem.methods.xfem import fields, geometry, grid, rules
 from geofem.scene import Box, Crack, Material, Region, Scene
@@ -109,9 +108,3 @@ def test_kernels_and_scene_agree_on_the_tip_field():
         for k, step in enumerate(h * np.eye(2)):
             slope = (field.displacement((x + step).T) - field.displacement((x - step).T)) / (2 * h)
             np.testing.assert_allclose(field.gradient(x.T)[:, k], slope, rtol=1e-4, atol=1e-6)
-
-
-def test_the_kink_has_the_largest_hoop_stress():
-    assert np.degrees(kink(1.0, 1.0)) == pytest.approx(-53.1301, abs=1e-4)
-    assert np.degrees(kink(0.0, 1.0)) == pytest.approx(-70.5288, abs=1e-4)
-    assert kink(1.0, 0.0) == 0.0 and kink(1.0, -0.3) == -kink(1.0, 0.3)

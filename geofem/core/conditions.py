@@ -42,9 +42,19 @@ class Condition:
         self._parent = np.asarray(parent).ravel()
         self._value = fem.Function(collapsed)
         self._x = collapsed.tabulate_dof_coordinates()[:, : mesh.geometry.dim].T.copy()
+        self._space = collapsed
         self.bc = fem.dirichletbc(self._value, dofs, sub)
         indices, owned = self.bc.dof_indices()
         self.dofs = indices[:owned].copy()
+
+    def move_inward(self, part: float) -> None:
+        """Ask for values at this part of the way from each node to the middle of the cells around it, on their side of a crack."""
+        geometry, nodes = self._space.mesh.geometry, self._space.dofmap.list
+        middle = geometry.x[geometry.dofmaps[0][:, :3], : len(self._x)].mean(axis=1)
+        total, count = np.zeros_like(self._x.T), np.zeros(self._x.shape[1])
+        np.add.at(total, nodes, middle[:, None])
+        np.add.at(count, nodes, 1.0)
+        self._x += part * (total / count[:, None] - self._x.T).T
 
     def set(self, t: float, moved: np.ndarray | None = None) -> None:
         """Give the values of time t, less what the mesh has ``moved`` already (an array like the unknown)."""

@@ -55,7 +55,12 @@ def build(
 
     Raises ``Mistake``: shapes that overlap or cannot be meshed, a file that is not a sound mesh, groups that it lacks.
     """
-    made = on_root(comm, lambda: serial(scene, n, cell, grading))
+    body = distribute(comm, scene, on_root(comm, lambda: serial(scene, n, cell, grading)))
+    return elevated(body, scene, geometry_order) if geometry_order > body.mesh.geometry.cmaps[0].degree else body
+
+
+def distribute(comm: MPI.Intracomm, scene: Scene, made: meshing.Cells | None) -> Body:
+    """The mesh that rank 0 has ``made``, shared out to all ranks; None on the others. Collective."""
     kind, order, nodes = comm.bcast(made and (made.kind, made.order, made.cells.shape[1]))
     element = basix.ufl.element("Lagrange", kind, order, basix.LagrangeVariant.equispaced, shape=(scene.gdim,))
     cells = made.cells if made else np.empty((0, nodes), np.int64)
@@ -69,8 +74,7 @@ def build(
     domain.topology.create_connectivity(scene.gdim - 1, scene.gdim)
     names = comm.bcast(made and list(made.groups))
     groups = {name: distributed_facets(domain, made.groups[name] if made else None) for name in names}
-    body = Body(domain, regions, groups, original)
-    return elevated(body, scene, geometry_order) if geometry_order > order else body
+    return Body(domain, regions, groups, original)
 
 
 def serial(scene: Scene, n: int, cell: str, grading: float) -> meshing.Cells:

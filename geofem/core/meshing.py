@@ -180,10 +180,10 @@ def refuse_overlap(regions: Sequence[Region], owner: Array) -> None:
         )
 
 
-def compact(points: Array, cells: Array, kind: str, regions: Array) -> Cells:
+def compact(points: Array, cells: Array, kind: str, regions: Array, order: int = 1) -> Cells:
     """The mesh without the nodes that no cell uses."""
     used, cells = np.unique(cells, return_inverse=True)
-    return Cells(points[used], cells.reshape(len(regions), -1), kind, regions.astype(np.int32))
+    return Cells(points[used], cells.reshape(len(regions), -1), kind, regions.astype(np.int32), order=order)
 
 
 def facet_vertices(kind: str) -> Array:
@@ -384,20 +384,28 @@ def set_size(gmsh: Any, length: float, h: float, singular: Sequence[Point], grad
     gmsh.model.mesh.field.setAsBackgroundMesh(smallest)
 
 
-def collect(mesh: Any, tags: Sequence[int], numbers: Array, shapes: Sequence[Any], cell: str) -> Cells:
+GMSH_CELLS = {
+    ("triangle", 1): (2, [0, 1, 2]),
+    ("triangle", 2): (9, [0, 1, 2, 4, 5, 3]),
+    ("quadrilateral", 1): (3, [0, 1, 3, 2]),
+}
+"""Gmsh's number of a shape and order of cells, and the places in its list of nodes of those in dolfinx's order."""
+
+
+def collect(mesh: Any, tags: Sequence[int], numbers: Array, shapes: Sequence[Any], cell: str, order: int = 1) -> Cells:
     """The Gmsh mesh of the surfaces ``tags`` of regions ``numbers`` as arrays."""
     known, xyz, _ = mesh.getNodes()
     place = np.zeros(int(known.max()) + 1, np.int64)
     place[known] = np.arange(len(known))
     points = on_upright_sides(xyz.reshape(-1, 3)[:, :2].copy(), shapes)
-    code, corners, order = {"triangle": (2, 3, [0, 1, 2]), "quadrilateral": (3, 4, [0, 1, 3, 2])}[cell]
+    code, nodes = GMSH_CELLS[cell, order]
     blocks, regions = [], []
     for tag, number in zip(tags, numbers):
-        codes, _, nodes = mesh.getElements(2, tag)
+        codes, _, found = mesh.getElements(2, tag)
         assert list(codes) == [code], f"Gmsh made other cells than {cell}s"
-        blocks.append(place[nodes[0].astype(np.int64)].reshape(-1, corners)[:, order])
+        blocks.append(place[found[0].astype(np.int64)].reshape(-1, len(nodes))[:, nodes])
         regions.append(np.full(len(blocks[-1]), number))
-    return compact(points, np.concatenate(blocks), cell, np.concatenate(regions))
+    return compact(points, np.concatenate(blocks), cell, np.concatenate(regions), order)
 
 
 def on_upright_sides(points: Array, shapes: Sequence[Any]) -> Array:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 import traceback
 from collections.abc import Callable
 from types import TracebackType
+from typing import NoReturn
 
 import numpy as np
 from mpi4py import MPI
@@ -14,12 +16,14 @@ from mpi4py import MPI
 from geofem.mistake import Mistake
 
 
-def abort(text: str, status: int) -> None:
+def abort(text: str, status: int) -> NoReturn:
     """Say why on stderr and end all ranks with this exit status."""
     print(text, file=sys.stderr, flush=True, end="")
     # mpirun kills the ranks at once, and now and then before it has passed on what they said last
     time.sleep(0.5)
     MPI.COMM_WORLD.Abort(status)
+    # this comes back now and then, before mpirun has done its work
+    os._exit(status)
 
 
 def install_abort_hook() -> None:

@@ -7,6 +7,7 @@ from mpi4py import MPI
 from geofem import materials
 from geofem.core import mesh as meshes
 from geofem.core.forms import UFL_LAWS, Template
+from geofem.methods import conforming
 from geofem.methods.lagrangian_model import LagrangianModel
 from geofem.mistake import Mistake
 from geofem.scene import Scene
@@ -24,10 +25,10 @@ class Fem:
 
     def refuses(self, scene: Scene) -> str | None:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
-        if scene.cracks:
-            return "fem has no mesh that follows a crack yet; use xfem"
         if scene.walls or scene.rigids:
             return "fem has no contact with walls or rigid bodies; use a material point method"
+        if scene.cracks:
+            return conforming.refuses(scene)
         laws = {region.material.law for region in scene.regions}
         if scene.plane == "plane_stress" and laws != {"linear_elastic"}:
             return "plane stress is there for linear_elastic only; use plane_strain"
@@ -49,6 +50,7 @@ class Fem:
         steps: int | None = None,
         rho_inf: float = 1.0,
         tolerance: float | None = None,
+        quarter_point: bool | None = None,
     ) -> LagrangianModel:
         """Discretise a scene.
 
@@ -60,13 +62,26 @@ class Fem:
         formulation : displacement, or mixed (displacement and a pressure of one order less, Taylor and Hood 1973).
         frame : total or updated (the mesh moves with the material; for finite strain).
         quadrature : full, or reduced (one point less per direction on quadrilaterals and hexahedra; the default for plastic laws).
-        grading : exponent with which cells shrink towards the scene's singular points; 1 is uniform, 2 the default for plastic laws.
+        grading : exponent with which cells shrink towards the scene's singular points, and the tips of its cracks; 1 is uniform,
+            2 the default for plastic laws, 3 with cracks.
         steps : load steps of a static scene (1 if it is linear, else 4), or time steps per period (25 n).
         rho_inf : spectral radius of generalised-alpha at infinite frequency; 1 damps nothing.
         tolerance : out-of-balance force relative to the forces that balance; 1e-9, and 1e-5 for plastic laws.
+        quarter_point : of the cells around a crack tip, put the nodes on the sides to it at a quarter (Barsoum 1976); with cracks
+            the default for orders 2 and 3.
+
+        Bodies with cracks have linear elastic triangles that follow them; formulation, frame and the like stay as they are.
 
         Raises ``Mistake`` for knobs that do not fit the scene or each other.
         """
+        if scene.cracks:
+            self._check(scene, n, order, "triangle", "displacement", "total", grading or 1.0, steps)
+            check_element(order, "triangle", quadrature)
+            if (cell or "triangle", formulation, frame) != ("triangle", "displacement", "total"):
+                raise Mistake(f"scene {scene.name} has cracks: leave the knobs cell, formulation and frame as they are")
+            return conforming.build(scene, n, order, grading, quarter_point, steps)
+        if quarter_point is not None:
+            raise Mistake(f"knob quarter_point = {quarter_point}: scene {scene.name} has no crack")
         plastic = any(region.material.law in ISOCHORIC for region in scene.regions)
         if cell is None:
             cell = (

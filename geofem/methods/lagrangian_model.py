@@ -45,7 +45,11 @@ class LagrangianModel:
         self._imbalance = 0.0
         self._known_stress = -1.0, np.empty((0, 0))
         # found now, on the reference mesh: that of a resumed run in the updated frame lies elsewhere
-        self._places = {p.at: MaterialPoint(self.forms, self.dofs, p.at, p.name) for p in scene.probes if p.at is not None}
+        self._places = {
+            p.at: MaterialPoint(self.forms, self.dofs, p.at, p.name)
+            for p in scene.probes
+            if p.at is not None and p.quantity in ("displacement", "velocity", "stress")
+        }
         self._start = {"mass": self.balance.total("weight"), "volume": self.balance.total("volume")}
 
     def dt(self) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from dolfinx import mesh
 
@@ -11,7 +13,7 @@ from geofem.core.neartip import kolosov
 from geofem.cost import phase
 from geofem.methods.xfem.grid import Grid, boundary_edges
 from geofem.methods.xfem.system import StandardBlock
-from geofem.scene import Region
+from geofem.scene import Array, Region
 
 
 class Intact:
@@ -33,3 +35,8 @@ class Intact:
         with phase("assembly"):
             self.standard = StandardBlock(self.forms.form("tangent"), self.grid)
         self.boundary = boundary_edges(self.grid, mesh.exterior_facet_indices(body.mesh.topology))
+
+    @cached_property
+    def walls(self) -> Array:
+        """The edges of the boundary on all ranks (n, 2, 2), m. Collective."""
+        return np.concatenate(self.comm.allgather(self.grid.X[self.boundary]))

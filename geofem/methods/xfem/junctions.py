@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geofem.materials.kinematics import kernel
-from geofem.methods.xfem.geometry import Lines, Tips, lines_of, side
+from geofem.methods.xfem.geometry import Lines, lines_of, side
 from geofem.scene import Array
 
 JOIN = 1e-9
@@ -147,19 +147,6 @@ def chained(a: Array, b: Array, at: Array) -> Array:
 def main_at(cracks: Sequence[Array], at: Array) -> int | None:
     """The crack that passes a point."""
     return next((c for c, line in enumerate(cracks) if (line[1:-1] == at).all(axis=1).any()), None)
-
-
-def extended(lines: Lines, tips: Tips, ends: Array) -> Lines:
-    """The cracks with a new segment from each tip to its place in ``ends`` (tips, 2), m, or to another crack that is on the way."""
-    cracks = cracks_of(lines)
-    slack = JOIN * float(np.ptp(np.concatenate([lines.points, ends]), axis=0).max())
-    grown = list(cracks)
-    for tip, (c, at, end) in enumerate(zip(tips.crack, tips.at, ends)):
-        segment = np.stack([at, end])
-        met = [point for k, crack in enumerate(cracks) if k != c for point in contacts(segment, crack, slack)]
-        new = min(met, key=lambda point: float(np.hypot(*(point - at))), default=end)[None]
-        grown[c] = np.concatenate([grown[c], new] if tips.turn[tip] > 0 else [new, grown[c]])
-    return lines_of(grown)
 
 
 # --- sectors ----------------------------------------------------------------------------------------------------------

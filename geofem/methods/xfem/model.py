@@ -11,15 +11,16 @@ from mpi4py import MPI
 
 from geofem.core import intensity as sif
 from geofem.core.conditions import Loads
+from geofem.core.propagation import End, Peak, Propagation
 from geofem.cost import phase
 from geofem.methods.xfem.basis import fields_at
 from geofem.methods.xfem.cracked import INNER, INNER_CELLS, Cracked
 from geofem.methods.xfem.enrichment import TipChoice
-from geofem.methods.xfem.geometry import Lines, polylines
+from geofem.methods.xfem.geometry import Lines, lines_of, polylines
 from geofem.methods.xfem.intact import Intact
-from geofem.methods.xfem.junctions import extended
-from geofem.mistake import Mistake
-from geofem.scene import Array, Probe, Scene
+from geofem.methods.xfem.peak import peak
+from geofem.mistake import Breakdown, Mistake
+from geofem.scene import Array, Growth, Probe, Scene
 
 
 class XfemModel:
@@ -27,42 +28,73 @@ class XfemModel:
 
     Parameters
     ----------
-    choice : how tips are enriched, None for jumps only. radius : of the enrichment around a tip (m). steps : of the load.
+    choice : how tips are enriched, None for jumps only. radius : of the enrichment around a tip (m). dt : step of the load, or way
+        of the fastest tip in a step (m) where cracks grow.
     """
 
-    def __init__(self, scene: Scene, intact: Intact, choice: TipChoice | None, radius: float, steps: int):
+    def __init__(self, scene: Scene, intact: Intact, choice: TipChoice | None, radius: float, dt: float):
         self.scene, self.intact, self.choice, self.radius = scene, intact, choice, radius
         self.comm = intact.comm
-        self.t, self._dt = 0.0, scene.t_end / steps
+        self.t, self._dt = 0.0, dt
         self.work = {"steps": 0}
         self.loads = Loads(scene, intact.forms, intact.body)
         self.cracked = self._with(polylines(scene.cracks))
         self._energy = {"kinetic": 0.0, "internal": 0.0, "external": 0.0}
         self._imbalance = 0.0
+        self._first = self.ends()
+        self.propagation = Propagation(scene.growth or Growth(length=scene.length), self)
+        if scene.growth is not None:
+            self._balance(0.0)
 
     def _with(self, lines: Lines) -> Cracked:
         """The body with cracks there. Collective."""
         return Cracked(self.intact, self.scene, self.loads, lines, self.choice, self.radius)
 
-    def recut(self, lines: Lines) -> None:
-        """Put cracks in the place of the present ones and balance the present load anew. Collective.
+    # --- cracks that grow, see ``geofem.core.propagation.Cracks`` ----------------------------------------------------
+    def paths(self) -> list[Array]:
+        lines = self.cracked.lines
+        return [lines.points[a:b].copy() for a, b in zip(lines.start, lines.start[1:])]
+
+    def ends(self) -> list[End]:
+        tips = self.cracked.tips
+        return [End(int(c), turn > 0, at, axis) for c, turn, at, axis in zip(tips.crack, tips.turn, tips.at, tips.axis)]
+
+    def factors(self) -> tuple[Array, Array]:
+        return self.cracked.factors
+
+    def recut(self, paths: list[Array]) -> None:
+        """Put cracks in the place of the present ones, and balance the load anew; these stay if that fails. Collective.
 
         External work is counted for loads on uncracked boundary.
         """
         before, nodes, owned = self.cracked, 2 * len(self.intact.grid.X), 2 * self.intact.grid.owned
-        self.cracked = self._with(lines)
+        self.cracked = self._with(lines_of(paths))
         self.cracked.x[:nodes], self.cracked.external[:owned] = before.x[:nodes], before.external[:owned]
-        before.destroy()
-        self._balance(self.t)
+        try:
+            self._balance(self.t)
+        except Breakdown:
+            before, self.cracked = self.cracked, before
+            raise
+        finally:
+            before.destroy()
+
+    def walls(self) -> Array:
+        return self.intact.walls
+
+    def peak(self, away: float) -> Peak | None:
+        return peak(self.cracked, away)
 
     # --- the step -------------------------------------------------------------------------------------------------
     def dt(self) -> float:
         return self._dt
 
     def step(self, dt: float) -> None:
-        """Advance by dt. Raises ``Breakdown`` if the matrix is singular."""
-        self._balance(self.t + dt)
-        self.t += dt
+        """Advance by dt. Raises ``Breakdown`` if the matrix is singular, or (arrest) where no crack grows any more."""
+        if self.scene.growth is None:
+            self._balance(self.t + dt)
+            self.t += dt
+        else:
+            self.t += self.propagation.step(dt)
         self.work["steps"] += 1
 
     def _balance(self, t: float) -> None:
@@ -75,29 +107,22 @@ class XfemModel:
         self._energy["internal"] = body.strain_energy()
         self._imbalance = max(self._imbalance, body.imbalance)
 
-    def grow(self, step: float) -> Array:
-        """Let each tip advance by a step (m) to where the hoop stress is largest, and balance the present load anew. Collective.
-
-        Returns the angles (tips,) to the former axes (radian).
-        """
-        body, ahead = self.cracked, self.cracked.tips.axis
-        angles = np.array([sif.kink(*body.intensity(tip)) for tip in range(len(ahead))])
-        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
-        ends = body.tips.at + step * (c * ahead + s * np.stack([-ahead[:, 1], ahead[:, 0]], axis=1))
-        self.recut(extended(body.lines, body.tips, ends))
-        return angles
-
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
-        if probe.quantity in ("KI", "KII"):
-            assert probe.at is not None
-            if not len(self.cracked.tips.at):
-                raise Mistake(f"probe {probe.name!r}: no crack of scene {self.scene.name} ends inside a body; there is no tip")
-            tip = int(np.hypot(*(self.cracked.tips.at - np.array(probe.at)).T).argmin())
-            return float(self.cracked.intensity(tip)[0 if probe.quantity == "KI" else 1])
+        if probe.quantity in ("KI", "KII", "T", "tip"):
+            return self._of_tip(probe)
+        if probe.quantity == "load":
+            return self.propagation.load()
+        if probe.quantity == "cycles":
+            return self.propagation.cycles
         if probe.quantity in ("displacement_error", "energy_error"):
             return self._error(probe)
+        if probe.quantity == "opening":
+            assert probe.at is not None
+            return self.cracked.opening(np.array(probe.at, float))
+        if probe.quantity == "opening_error":
+            return self._opening_error(probe)
         if probe.quantity == "displacement":
             assert probe.at is not None
             return float(self.cracked.at(np.array(probe.at, float))[0][probe.component])
@@ -110,6 +135,21 @@ class XfemModel:
             reaction = (self.cracked.internal - self.cracked.force(self.t))[dofs].sum()
             return float(self.comm.allreduce(reaction, op=MPI.SUM))
         raise Mistake(f"probe {probe.name!r}: xfem does not measure {probe.quantity!r}")
+
+    def _of_tip(self, probe: Probe) -> float:
+        """A quantity of the tip that started nearest to a point. Collective."""
+        assert probe.at is not None
+        if not self._first:
+            raise Mistake(f"probe {probe.name!r}: no crack of scene {self.scene.name} ends inside a body; there is no tip")
+        started = min(self._first, key=lambda end: np.hypot(*(end.at - np.array(probe.at))))
+        if probe.quantity == "tip":
+            return float(self.paths()[started.crack][-1 if started.last else 0, probe.component])
+        for tip, (K, end) in enumerate(zip(self.factors()[0], self.ends())):
+            if (end.crack, end.last) == (started.crack, started.last):
+                if probe.quantity == "T":
+                    return self.cracked.tension(tip)
+                return float(K[0 if probe.quantity == "KI" else 1])
+        return 0.0
 
     def _error(self, probe: Probe) -> float:
         """See ``displacement_error`` and ``energy_error`` of ``Probe``. Collective."""
@@ -127,6 +167,14 @@ class XfemModel:
             d = g - np.moveaxis(probe.exact(rule.x.T, self.t), 2, 0)
             density = 0.5 * np.einsum("nij,nij->n", sif.stress(d, self.intact.lam[cell], self.intact.mu[cell]), d)
             return float(np.sqrt(self.comm.allreduce(rule.w @ density, op=MPI.SUM)))
+
+    def _opening_error(self, probe: Probe) -> float:
+        """See ``opening_error`` of ``Probe``. Collective."""
+        assert probe.exact is not None
+        faces = self.cracked.faces
+        square = (faces.jumps(self.cracked.x)[:, 0] - probe.exact(faces.rule.x.T, self.t)) ** 2
+        total, length = self.comm.allreduce(np.array([faces.rule.w @ square, faces.rule.w.sum()]), op=MPI.SUM)
+        return float(np.sqrt(total / length))
 
     def energy(self) -> dict[str, float]:
         return dict(self._energy)
@@ -161,10 +209,14 @@ class XfemModel:
         return fem.Function(self.intact.space, name="displacement")
 
     def state(self) -> dict[str, np.ndarray]:
-        """The time and the work done: a linear body without memory is solved anew when a run is resumed."""
-        return {"numbers": np.array([self.t, self._energy["external"], self._imbalance, self.work["steps"]])}
+        """The time, the work done and the cracks: a linear body without memory is solved anew when a run is resumed."""
+        lines = self.cracked.lines
+        numbers = [self.t, self._energy["external"], self._imbalance, self.work["steps"], self.propagation.cycles]
+        return {"numbers": np.array(numbers), "points": lines.points, "start": lines.start}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        self.t, external, self._imbalance, steps = state["numbers"].tolist()
+        self.t, external, self._imbalance, steps, self.propagation.cycles = state["numbers"].tolist()
+        self.cracked.destroy()
+        self.cracked = self._with(Lines(state["points"], state["start"]))
         self._balance(self.t)
         self._energy["external"], self.work["steps"] = external, int(steps)

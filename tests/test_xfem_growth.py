@@ -1,0 +1,211 @@
+"""Cracks that grow: the laws, the energy that is released, loads, cycles, births and ends, and the same path on any ranks."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import geofem
+from geofem import methods, scenes
+from geofem.core import growth
+from geofem.core.propagation import reached
+from geofem.mistake import Mistake
+from geofem.scene import Crack, Growth, Support
+
+
+def growing(name, law, **knobs):
+    return replace(scenes.get(name)(**knobs), growth=law)
+
+
+# --- laws -------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("criterion", "KI", "KII", "angle"),
+    [
+        ("hoop", 1.0, 1.0, -53.130),  # tan(theta / 2) = -1/2
+        ("hoop", 0.0, 1.0, -70.529),  # cos(theta) = 1/3
+        ("hoop", 1.0, 0.0, 0.0),
+        ("energy", 1.0, 0.0, 0.0),
+        ("symmetry", 1.0, 0.0, 0.0),
+    ],
+)
+def test_kinks_of_the_criteria(criterion, KI, KII, angle):
+    assert np.degrees(growth.kink(criterion, KI, KII)[0]) == pytest.approx(angle, abs=0.001)
+    assert growth.kink(criterion, KI, -KII)[0] == -growth.kink(criterion, KI, KII)[0]
+
+
+@pytest.mark.parametrize(("criterion", "angle", "tolerance"), [("energy", -75.76, 0.01), ("symmetry", -77.33, 0.01)])
+def test_kinks_in_pure_shear(criterion, angle, tolerance):
+    assert np.degrees(growth.kink(criterion, 0.0, 1.0)[0]) == pytest.approx(angle, abs=tolerance)
+
+
+@pytest.mark.parametrize("KII", [0.05, 0.3, 1.0, 20.0])
+def test_the_kink_is_where_its_criterion_says(KII):
+    """Against all angles between -100 and 0 degrees."""
+    m = np.linspace(-0.55, 0.0, 200_001)
+    k1, k2 = growth.kinked(1.0, KII)
+    most = m[(k1(m) ** 2 + k2(m) ** 2).argmax()]
+    none = m[np.abs(np.where(m < -0.01 * KII / (1 + KII), k2(m), np.inf)).argmin()]
+    assert growth.kink("energy", 1.0, KII)[0] == pytest.approx(np.pi * most, abs=1e-4)
+    assert growth.kink("symmetry", 1.0, KII)[0] == pytest.approx(np.pi * none, abs=1e-4)
+    theta = np.pi * m
+    hoop = np.cos(theta / 2) ** 3 - 1.5 * KII * np.cos(theta / 2) * np.sin(theta)
+    assert growth.kink("hoop", 1.0, KII) == pytest.approx((theta[hoop.argmax()], hoop.max()), abs=1e-4)
+
+
+def test_speeds_of_tips():
+    K = np.array([1.0, 2.0, 1.99, -1.0])
+    assert growth.speeds(Growth(1.0), K).tolist() == [1.0, 1.0, 1.0, 0.0]
+    assert growth.speeds(Growth(1.0, threshold=1.5), K).tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert growth.speeds(Growth(1.0, toughness=5.0), K).tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert growth.speeds(Growth(1.0, paris=(1e-10, 3.0)), K) == pytest.approx([0.125, 1.0, 0.995**3, 0.0])
+    assert not growth.speeds(Growth(1.0, threshold=3.0), K).any()
+
+
+@pytest.mark.parametrize(("KII", "angle"), [(0.0, -40.0), (1.0, -70.0)])
+def test_factors_of_a_short_kink(KII, angle):
+    """Amestoy and Leblond's F against a kink of a hundredth of the crack, solved in the field of a straight one."""
+    tip = np.array([0.5, 0.5])
+    turn = np.radians(angle)
+    end = tip + 0.005 * np.array([np.cos(turn), np.sin(turn)])
+    scene = scenes.get("williams")(tip=tuple(tip), KII=KII)
+    cracks = (Crack((*scene.cracks[0].points, tuple(end))),)
+    model = methods.get("xfem").build(replace(scene, cracks=cracks, singular=(tuple(end),)), n=60, grading=3.0, radius=0.002)
+    model.step(1.0)
+    exact = [float(k(turn / np.pi)) for k in growth.kinked(1.0, KII)]
+    # the boundary, a hundred kinks away, is held where it would be without the kink
+    assert model.factors()[0][0] == pytest.approx(exact, abs=0.015)
+
+
+# --- growth -----------------------------------------------------------------------------------------------------------
+def test_a_crack_in_tension_grows_straight_and_releases_what_J_says():
+    steps = list(geofem.grow("edge_crack", a=0.3, n=30, da=0.04, until=0.2))
+    assert [step.advance for step in steps] == pytest.approx(np.arange(6) * 0.04)
+    for before, after in zip(steps, steps[1:]):
+        work, stored = (after.energy[name] - before.energy[name] for name in ("external", "internal"))
+        assert work - stored == pytest.approx(0.5 * (before.G[0] + after.G[0]) * 0.04, rel=0.03)
+    assert steps[-1].tips[0] == pytest.approx((0.5, 0.0), abs=2e-3)
+    assert steps[-1].K[0, 0] == pytest.approx(2.82545 * np.sqrt(np.pi * 0.5), rel=0.012)
+    with pytest.raises(Mistake, match="have gone on"):
+        steps[0].snapshot()
+    assert "stress" in steps[-1].snapshot()
+
+
+def test_an_inclined_crack_turns_across_the_tension():
+    steps = list(geofem.grow("inclined_crack", beta=45.0, n=40, da=0.2, until=lambda step: step.advance > 0.7))
+    infinite = -53.13  # K_I = K_II in a large plate
+    np.testing.assert_allclose(np.degrees(steps[0].angles), infinite, atol=0.5)
+    assert np.abs(steps[-1].angles).max() < 0.12 and len(steps) == 5
+    np.testing.assert_allclose(steps[-1].tips[0], -steps[-1].tips[1], atol=5e-3)
+
+
+def test_load_control_keeps_the_energy_rate_of_the_toughness():
+    law = Growth(0.2, toughness=2.0)
+    for step in geofem.grow(growing("edge_crack", law, a=0.3), n=30, da=0.05):
+        assert step.load * step.K[0, 0] == pytest.approx(2.0, rel=1e-4)
+        assert step.load**2 * step.G[0] == pytest.approx(2.0**2 * (1 - 0.3**2), rel=0.01)
+
+
+def test_a_sweep_meshes_the_body_once():
+    bodies = []
+    for beta, step in geofem.vary("inclined_crack", "beta", (0.0, 40.0), n=20):
+        bodies.append(step.model.intact)
+        exact = np.sqrt(np.pi) * np.cos(np.radians(beta)) * np.array([np.cos(np.radians(beta)), np.sin(np.radians(beta))])
+        assert step.K == pytest.approx(np.array([exact, exact]), abs=0.03)
+    assert bodies[0] is bodies[1]
+
+
+def test_no_compiler_in_growth():
+    """No file is added where FFCx and numba keep what they compiled, once the first step is made."""
+    from dolfinx import jit
+
+    folders = [Path(os.environ["NUMBA_CACHE_DIR"]), Path(jit.get_options()["cache_dir"])]
+    seen = None
+    for _ in geofem.grow("inclined_crack", n=20, da=0.2, until=0.8):
+        files = {path for folder in folders for path in folder.rglob("*")}
+        assert seen is None or files == seen
+        seen = files
+    assert seen
+
+
+# --- ends and births --------------------------------------------------------------------------------------------------
+def test_a_tip_breaks_through_where_little_is_left():
+    edges = np.array([[[1.0, -1.0], [1.0, 1.0]], [[2.0, -1.0], [2.0, 1.0]]])
+    start = np.array([0.0, 0.0])
+    assert reached(start, np.array([0.5, 0.0]), edges).tolist() == [0.5, 0.0]
+    assert reached(start, np.array([0.8, 0.4]), edges) == pytest.approx((1.0, 0.5))
+    assert reached(start, np.array([1.5, 0.0]), edges) == pytest.approx((1.0, 0.0))
+
+
+def test_a_crack_that_would_part_the_body_comes_to_rest():
+    scene = growing("inclined_crack", Growth(20.0), beta=0.0)
+    result = geofem.run(scene, "xfem", n=20, grading=1.0, da=3.0)
+    assert result.status == "ok" and "no longer held" in result.message
+    assert result.history["t"][-1] == 6.0 and result.qoi["KI"] > 6.0
+
+
+def test_a_crack_that_reaches_the_side_has_no_tip_any_more():
+    """In a plate whose ends are held and pulled apart, so that its halves stand alone."""
+    scene = growing("inclined_crack", Growth(20.0), beta=0.0)
+    top, bottom = (load.where for load in scene.loads)
+    held = [Support(f"bottom{i}", bottom, (i,)) for i in (0, 1)] + [Support("top0", top, (0,))]
+    pulled = Support("top1", top, (1,), lambda x, t: np.full(x.shape[1], 0.1))
+    scene = replace(scene, supports=(*held, pulled), loads=())
+    result = geofem.run(scene, "xfem", n=20, grading=1.0, da=3.0)
+    assert result.status == "ok" and "no crack has a tip" in result.message and result.qoi["KI"] == 0.0
+    assert result.history["t"][-1] < 12.0
+
+
+def test_nothing_grows_below_the_threshold():
+    result = geofem.run(growing("edge_crack", Growth(0.2, threshold=10.0)), "xfem", n=20)
+    assert result.status == "ok" and "threshold" not in result.message and "up to 10" in result.message
+    assert result.history["t"].tolist() == [0.0]
+
+
+def test_a_growing_run_goes_on_from_its_state():
+    scene = growing("inclined_crack", Growth(0.8, paris=(1e-3, 3.0)), beta=30.0)
+    first, second = (methods.get("xfem").build(scene, n=20, da=0.2) for _ in range(2))
+    first.step(0.2)
+    second.restore(first.state())
+    for model in (first, second):
+        model.step(0.2)
+    np.testing.assert_allclose(second.paths()[0], first.paths()[0], rtol=0, atol=1e-12)
+    assert second.t == first.t and second.propagation.cycles == pytest.approx(first.propagation.cycles, rel=1e-10)
+    assert second.energy() == pytest.approx(first.energy(), rel=1e-10)
+
+
+def test_what_cannot_grow_is_said():
+    for law in (
+        {"length": 0.0}, {"length": 1.0, "criterion": "any"}, {"length": 1.0, "toughness": 1.0, "paris": (1.0, 3.0)},
+        {"length": 1.0, "paris": (0.0, 3.0)}, {"length": 1.0, "threshold": -1.0}, {"length": 1.0, "strength": 1.0},
+    ):  # fmt: skip
+        with pytest.raises(Mistake, match="Growth"):
+            Growth(**law)
+    with pytest.raises(Mistake, match="until"):
+        next(geofem.grow("edge_crack"))
+    with pytest.raises(Mistake, match="mpm-linear"):
+        next(geofem.grow("edge_crack", "mpm-linear", until=1.0))
+    with pytest.raises(Mistake, match="da"):
+        geofem.run("edge_crack", "xfem", da=0.1)
+    with pytest.raises(Mistake, match="steps"):
+        geofem.run(growing("edge_crack", Growth(0.1)), "xfem", steps=3)
+
+
+@pytest.mark.mpi
+def test_paths_are_the_same_on_any_number_of_ranks(mpirun):
+    code = """
+import json, geofem
+from mpi4py import MPI
+for step in geofem.grow("inclined_crack", beta=30.0, n=16, da=0.25, until=0.5):
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps([step.path[0].tolist(), step.K.tolist()]))
+"""
+    alone = [json.loads(line) for line in mpirun(1, code).splitlines()]
+    for ranks in (2, 3):
+        for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
+            np.testing.assert_allclose(many[0], one[0], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(many[1], one[1], rtol=1e-9, atol=1e-9)
