@@ -237,10 +237,37 @@ class Load:
 
 
 @dataclass(frozen=True)
+class Cohesion:
+    """Traction that faces which part still bear: rigid up to the ``strength`` (Pa), then falling linearly with the opening until
+    the ``energy`` (J/m2) is spent; unloading goes straight to the origin."""
+
+    strength: float
+    energy: float
+
+    def __post_init__(self) -> None:
+        if not (self.strength > 0 and self.energy > 0):
+            raise Mistake(f"Cohesion: strength = {self.strength:g} Pa and energy = {self.energy:g} J/m2 must be positive")
+
+
+@dataclass(frozen=True)
 class Crack:
-    """A crack: a polyline through ``points`` (2D); its end points that lie inside a body are tips."""
+    """A crack: a polyline through ``points`` (2D); its end points that lie inside a body are tips.
+
+    pressure : (x, t) -> (n,) of a fluid that pushes the faces apart (Pa), without further amplitude; None: the faces are dry.
+    friction : Coulomb's coefficient of faces that touch; 0 is smooth, None: they do not feel each other and may overlap.
+    cohesion : of faces that do not hold by more than that; they touch, without friction. None: they part freely.
+    """
 
     points: tuple[Point, ...]
+    pressure: Callable[[Array, float], Array] | None = None
+    friction: float | None = None
+    cohesion: Cohesion | None = None
+
+    def __post_init__(self) -> None:
+        if self.friction is not None and not self.friction >= 0:
+            raise Mistake(f"Crack: friction = {self.friction:g} must not be negative")
+        if self.friction and self.cohesion:
+            raise Mistake("Crack: gives both friction and cohesion; choose one, as cohesive faces touch without friction")
 
 
 CRITERIA = ("hoop", "energy", "symmetry")
@@ -302,6 +329,9 @@ class Probe:
         ``energy_error`` square root of the strain energy (J) of u minus a displacement of gradient exact: (x, t) -> (gdim, gdim, n);
         ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip that started nearest to the point ``at``; 0 once it
         has stopped;
+        ``T`` regular stress along the axis (Pa) at that tip;
+        ``opening`` normal jump (m) of the displacement across the crack nearest to the point ``at``, negative where faces overlap;
+        ``opening_error`` root mean square over all cracks of opening - exact(x, t) (m), exact: (x, t) -> (n,);
         ``tip`` coordinate ``component`` (m) of that tip, where cracks grow;
         ``load`` the factor on the loads at which the most loaded tip moves, ``cycles`` of load so far; see ``Growth``.
     """

@@ -1,4 +1,4 @@
-"""The displacement near a crack tip in a linear elastic body: the modes of Williams, and the branches that span them.
+"""The displacement near a crack tip in a linear elastic body: the modes of Williams, the branches that span them, a force at the tip.
 
 At distance r and angle theta to the tip's axis (Williams 1957),
 
@@ -62,3 +62,19 @@ def branches(r: float, theta: float, ax: float, ay: float, f: Array, g: Array) -
         f[j] = root * first
         by_ahead, by_up = (0.5 * c * first - s * slope) / root, (0.5 * s * first + c * slope) / root
         g[j, 0], g[j, 1] = ax * by_ahead - ay * by_up, ay * by_ahead + ax * by_up
+
+
+def point_force(x: Array, at: Array, axis: Array, kappa: float) -> Array:
+    """2 mu times the displacement gradient (n, 2, 2) of a force of 1 (N/m) at a tip along its axis, the faces being free.
+
+    x : (n, 2) m. The stress is radial, sigma_rr = -cos theta / (pi r): the potentials are phi = -log z / 4 pi and psi = -phi
+    (Muskhelishvili 1953), 2 mu (u_1 + i u_2) = kappa phi - z conj(phi') - conj(psi).
+    """
+    turn = complex(*axis)
+    z = ((x - at) @ np.array([1.0, 1j])) / turn
+    bar = z.conjugate()
+    ahead = -(kappa / z + z / bar**2) / (4.0 * np.pi)
+    up = -1j * (kappa / z - 2.0 / bar - z / bar**2) / (4.0 * np.pi)
+    local = np.array([[ahead.real, up.real], [ahead.imag, up.imag]])
+    rotation = np.array([[axis[0], -axis[1]], [axis[1], axis[0]]])
+    return np.einsum("ia,abn,jb->nij", rotation, local, rotation)

@@ -26,6 +26,10 @@ def refuses(scene: Scene) -> str | None:
         return "fem solves bodies with cracks in small strains of linear_elastic materials"
     if any(isinstance(region.shape, MeshFile) for region in scene.regions):
         return "fem makes its own mesh along cracks; give shapes in place of a mesh file"
+    if any(crack.pressure or crack.friction is not None or crack.cohesion for crack in scene.cracks):
+        return "fem takes cracks with free faces only; use xfem where they bear pressure, contact or cohesion"
+    if any(probe.quantity in ("T", "opening", "opening_error") for probe in scene.probes):
+        return "fem measures no T-stress or opening of cracks; use xfem"
     return None
 
 

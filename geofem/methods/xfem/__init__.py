@@ -36,8 +36,8 @@ class Xfem:
             return "xfem solves bodies at rest under loads that they carry"
         if scene.strain != "small" or {region.material.law for region in scene.regions} != {"linear_elastic"}:
             return "xfem is for small strains of linear_elastic bodies"
-        if any(load.kind == "pressure" for load in scene.loads):
-            return "xfem takes tractions and forces of mass, and no pressure yet"
+        if any(crack.friction is not None or crack.cohesion for crack in scene.cracks):
+            return "xfem does not know contact or cohesion of the faces of cracks yet"
         if scene.walls or scene.rigids:
             return "xfem has no contact with walls or rigid bodies; use a material point method"
         return None

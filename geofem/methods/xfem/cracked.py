@@ -10,13 +10,15 @@ from mpi4py import MPI
 
 from geofem.core import intensity as sif
 from geofem.core.conditions import Loads
+from geofem.core.neartip import point_force
 from geofem.cost import phase
 from geofem.methods.xfem.basis import World, blocks, fields_at
 from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of, sides_of
+from geofem.methods.xfem.faces import faces_of, pieces
 from geofem.methods.xfem.fields import modes_at
 from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, find_tips, touching
 from geofem.methods.xfem.intact import Intact
-from geofem.methods.xfem.loads import EnrichedLoads
+from geofem.methods.xfem.loads import EnrichedLoads, body_force
 from geofem.methods.xfem.picture import picture
 from geofem.methods.xfem.rules import Cutter, Degrees, Rule
 from geofem.methods.xfem.supports import Supports
@@ -50,7 +52,7 @@ class Cracked:
     """
 
     def __init__(self, intact: Intact, scene: Scene, loads: Loads, lines: Lines, choice: TipChoice | None, radius: float):
-        self.intact, self.loads, self.lines, self.radius = intact, loads, lines, radius
+        self.intact, self.scene, self.loads, self.lines, self.radius = intact, scene, loads, lines, radius
         self.comm, self.grid, self.lam, self.mu = intact.comm, intact.grid, intact.lam, intact.mu
         with phase("cut"):
             self.tips = find_tips(self.grid, lines, intact.boundary)
@@ -70,6 +72,8 @@ class Cracked:
             acting = self.acting(cells)
             self.rule = self.cutter.rule(cells, self._has_tip_functions(acting))
             self.numbering = Numbering(self.grid, self.enrichment)
+            along, segment = pieces(lines, self.tips.point, touch, self.grid.X, self.grid.T)
+            self.faces = faces_of(along, segment, self.acting(along.cells), self.world, len(self.numbering.to_global))
             self.supports = Supports(scene, intact.body, self.grid, self.enrichment, self.world, self.numbering)
         with phase("assembly"):
             enriched = blocks(self.rule, acting, self.world, self.lam, self.mu)
@@ -80,6 +84,7 @@ class Cracked:
         self.x = np.zeros(len(self.numbering.to_global))
         self.internal, self.external = np.zeros(self.numbering.owned), np.zeros(self.numbering.owned)
         self.imbalance = 0.0
+        self.t, self.traction = 0.0, np.zeros((len(self.faces.crack), 2))
 
     def destroy(self) -> None:
         """Free the matrices and communicators. Collective."""
@@ -124,18 +129,29 @@ class Cracked:
     def force(self, t: float) -> Array:
         """The external forces at the owned dofs, in global order."""
         with phase("loads"):
-            force = self.system.sum_to_owned(self.enriched_loads.external(t))
-        force[: 2 * self.grid.owned] = self.loads.external(t)[: 2 * self.grid.owned]
+            local = self.enriched_loads.external(t) + self.faces.force(self.pressure(t))
+            force = self.system.sum_to_owned(local)
+        force[: 2 * self.grid.owned] += self.loads.external(t)[: 2 * self.grid.owned]
         return force
+
+    def pressure(self, t: float) -> Array:
+        """The traction of fluids on the + faces, normal and along (n, 2), Pa."""
+        out = np.zeros((len(self.faces.crack), 2))
+        for c, crack in enumerate(self.scene.cracks):
+            if crack.pressure is not None:
+                here = self.faces.crack == c
+                out[here, 0] = crack.pressure(self.faces.rule.x[here].T, t)
+        return out
 
     def solve(self, t: float) -> None:
         """Balance the loads and supports of time t. Raises ``Breakdown`` if the matrix is singular. Collective.
 
         x : local dofs. internal, external : forces at owned dofs; external ones are loads, and reactions where the
-        displacement is prescribed. imbalance : their difference, relative.
+        displacement is prescribed. imbalance : their difference, relative. traction : on the + faces (n, 2), Pa.
         """
         self.__dict__.pop("factors", None)
         force = self.force(t)
+        self.t, self.traction = t, self.pressure(t)
         with phase("supports"):
             values = self.supports.values(t)
         self.x = self.system.solve(force, values)
@@ -159,15 +175,62 @@ class Cracked:
 
     def intensity(self, tip: int, radius: float | None = None) -> Array:
         """K_I and K_II (2,) of a tip (Pa sqrt(m)), by a ring of the given radius (m). Collective."""
-        ring, x = self._ring(tip, radius)
-        return sif.intensity(ring, modes_at(x, self.lines, self.tips, tip, self.kappa[tip])[1], self.kappa[tip])
+        ring, x, q = self._ring(tip, radius)
+        forces, there = self._forces(q)
+        kappa = self.kappa[tip]
+        modes, others = (modes_at(points, self.lines, self.tips, tip, kappa)[1] for points in (x, there))
+        return sif.intensity(ring, modes, kappa, forces, others)
 
     def release(self, tip: int, radius: float | None = None) -> float:
         """The energy that is released per area of new crack, straight ahead of a tip (J/m2), by a ring. Collective."""
-        return sif.release(self._ring(tip, radius)[0])
+        ring, _, q = self._ring(tip, radius)
+        return sif.release(ring, self._forces(q)[0])
 
-    def _ring(self, tip: int, radius: float | None) -> tuple[sif.Ring, Array]:
-        """The solution on a ring around a tip, by default the largest that suits it, and the points (n, 2). Collective.
+    def tension(self, tip: int, radius: float | None = None) -> float:
+        """The regular stress along the axis at a tip, T (Pa), by a ring. Collective."""
+        ring, x, q = self._ring(tip, radius)
+        forces, there = self._forces(q)
+        at, axis, kappa = self.tips.at[tip], self.tips.axis[tip], self.kappa[tip]
+        point, other = (point_force(points, at, axis, kappa) for points in (x, there))
+        return sif.tension(ring, point, kappa, forces, other, self._nearest(at, self.traction[:, 0]))
+
+    def opening(self, x: Array) -> float:
+        """The opening (m) of the crack at the point of its rule nearest to a point (2,). Collective."""
+        return self._nearest(x, self.faces.jumps(self.x)[:, 0])
+
+    def _nearest(self, x: Array, values: Array) -> float:
+        """Of values (n,) at the points of the faces of all ranks, the one nearest to x (2,); 0 without any. Collective."""
+        distance = np.hypot(*(self.faces.rule.x - x).T)
+        k = int(distance.argmin()) if len(distance) else -1
+        mine = (float(distance[k]), float(values[k])) if k >= 0 else (np.inf, 0.0)
+        return min(self.comm.allgather(mine))[1]
+
+    def _forces(self, q: Array) -> tuple[sif.Forces, Array]:
+        """What acts on the body inside a ring, on the faces and by mass, and at which points (n, 2); q : nodal weights."""
+        faces, grid = self.faces, self.grid
+        parts, points = [], []
+        for sign in (1.0, -1.0):
+            rule = faces.on_side(sign, grid.size)
+            g = fields_at(rule, self.acting(rule.cells), self.world, self.x)[1]
+            inside = grid.linear(q, np.repeat(rule.cells, np.diff(rule.start)), rule.x)
+            inside[~self.traction.any(axis=1)] = 0.0
+            parts.append((rule.w * inside, sign * faces.vectors(self.traction), g))
+            points.append(rule.x)
+        if any(load.kind in ("gravity", "body") for load in self.scene.loads):
+            cells = np.flatnonzero(q[grid.T].any(axis=1))
+            rule, acting = self.cutter.rule(cells, degrees=FINE), self.acting(cells)
+            g = fields_at(rule, acting, self.world, self.x)[1]
+            cells = np.repeat(cells, np.diff(rule.start))
+            f = body_force(self.scene, self.enriched_loads.density[cells], rule.x, self.t)
+            parts.append((rule.w * grid.linear(q, cells, rule.x), f, g))
+            points.append(rule.x)
+        w, f, g = (np.concatenate(part) for part in zip(*parts))
+        x = np.concatenate(points)
+        acts = w != 0.0
+        return sif.Forces(w[acts], f[acts], g[acts]), x[acts]
+
+    def _ring(self, tip: int, radius: float | None) -> tuple[sif.Ring, Array, Array]:
+        """The solution on a ring around a tip, by default the largest that suits it, its points (n, 2) and nodal weights. Collective.
 
         Raises ``Mistake`` if the ring is finer than the mesh.
         """
@@ -182,7 +245,7 @@ class Cracked:
             slope, lam, mu = (
                 np.repeat(of, points, axis=0) for of in (self.grid.slope(q, cells), self.lam[cells], self.mu[cells])
             )
-            return sif.Ring(self.comm, rule.w, slope, g, self.tips.axis[tip], lam, mu), rule.x
+            return sif.Ring(self.comm, rule.w, slope, g, self.tips.axis[tip], lam, mu), rule.x, q
 
     def ring_radius(self, tip: int) -> float:
         """The radius (m) of the ring where K is taken: its cells pass no kink of the crack, where the mesh allows that."""

@@ -92,6 +92,11 @@ class Grid:
         slope = np.stack([db * c[:, 1] - dc * b[:, 1], dc * b[:, 0] - db * c[:, 0]], axis=1)
         return slope / (2.0 * self.area[cells, None])
 
+    def linear(self, nodal: Array, cells: Array, x: Array) -> Array:
+        """Linear nodal values (nodes,) at points x (n, 2) of the cells (n,)."""
+        first = self.T[cells, 0]
+        return nodal[first] + np.einsum("ni,ni->n", self.slope(nodal, cells), x - self.X[first])
+
     def cells_of_facets(self, found: Array) -> Array:
         """The cell of this rank at each boundary facet."""
         topology = self.space.mesh.topology

@@ -1,4 +1,4 @@
-"""The forces of loads on enriched dofs; those on standard dofs are the ones of a mesh without cracks."""
+"""The forces of loads on enriched dofs, and of pressures; else those on standard dofs are the ones of a mesh without cracks."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ class Acting(NamedTuple):
 
 
 class EnrichedLoads:
-    """The loads of a scene on the enriched dofs of this rank's cells.
+    """The loads of a scene on the enriched dofs of this rank's cells, and pressures on the standard ones too.
 
     rule, acting : over the enriched cells. body : for the facets of tractions. local : number of local dofs.
+    density : (cells,) kg/m3.
     """
 
     def __init__(self, scene: Scene, grid: Grid, body: Body, world: World, rule: Rule, acting: CellEntries, local: int):
         self.scene, self.world, self.local = scene, world, local
-        densities = np.array([region.material.density for region in scene.regions])[grid.region]
-        inside = np.repeat(densities[rule.cells], np.diff(rule.start))
+        self.density = np.array([region.material.density for region in scene.regions])[grid.region]
+        inside = np.repeat(self.density[rule.cells], np.diff(rule.start))
         self._parts: list[Acting] = []
         place = np.full(len(grid.T), -1, np.int64)
         place[rule.cells] = np.arange(len(rule.cells))
@@ -48,17 +49,25 @@ class EnrichedLoads:
             elif load.kind == "gravity":
                 value = np.asarray(load.value, float)[:2] * inside[:, None]
                 self._parts.append(Acting(load, rule, acting, inside, forces(rule, acting, world, value, local)))
-            elif load.kind == "traction" and load.where is not None:
-                found = facets(body, load.where, "traction")
+            elif load.where is not None:
+                found = facets(body, load.where, load.kind)
                 edges, cells = boundary_edges(grid, found), grid.cells_of_facets(found)
                 chosen = place[cells] >= 0
                 along = edge_rule(edges[chosen], cells[chosen], world)
                 here = rows_of(acting, place[cells[chosen]])
-                value = np.tile(np.asarray(load.value, float)[:2], (len(along.w), 1))
-                self._parts.append(Acting(load, along, here, np.ones(0), forces(along, here, world, value, local)))
+                if load.kind == "pressure":
+                    out, length = outward(edges, cells, grid)
+                    density = -load.value * out
+                else:
+                    density = np.tile(np.asarray(load.value, float)[:2], (len(edges), 1))
+                dead = forces(along, here, world, np.repeat(density[chosen], np.diff(along.start), axis=0), local)
+                if load.kind == "pressure":
+                    for end in edges.T:
+                        np.add.at(dead[: 2 * len(grid.X)].reshape(-1, 2), end, 0.5 * length[:, None] * density)
+                self._parts.append(Acting(load, along, here, np.ones(0), dead))
 
     def external(self, t: float) -> Array:
-        """Forces at all local dofs, not yet summed over ranks; zero at standard ones."""
+        """Forces at all local dofs, not yet summed over ranks; at standard ones only those of pressures."""
         total = np.zeros(self.local)
         for part in self._parts:
             factor = self.scene.amplitude(part.load, t)
@@ -70,12 +79,32 @@ class EnrichedLoads:
         return total
 
 
+def body_force(scene: Scene, density: Array, x: Array, t: float) -> Array:
+    """The force of mass (n, 2), N/m3, of all loads at points x (n, 2) of the given density (n,), kg/m3."""
+    total = np.zeros((len(x), 2))
+    for load in scene.loads:
+        if load.kind == "gravity":
+            total += scene.amplitude(load, t) * np.asarray(load.value, float)[:2]
+        elif load.kind == "body":
+            total += scene.amplitude(load, t) * np.asarray(load.value(x.T, t)).T
+    return total * density[:, None]
+
+
 def rows_of(acting: CellEntries, rows: Array) -> CellEntries:
     """The entries of some of the cells, in the given order."""
     pieces = [np.arange(acting.start[k], acting.start[k + 1]) for k in rows]
     index = np.concatenate([np.empty(0, np.int64), *pieces])
     start = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces], dtype=np.int64)])
     return CellEntries(start, acting.vertex[index], acting.entry[index])
+
+
+def outward(edges: Array, cells: Array, grid: Grid) -> tuple[Array, Array]:
+    """The unit normals (k, 2) of boundary edges (k, 2), out of their cells (k,), and their lengths (k,), m."""
+    along = grid.X[edges[:, 1]] - grid.X[edges[:, 0]]
+    length = np.hypot(*along.T)
+    normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / length[:, None]
+    inward = grid.X[grid.T[cells]].mean(axis=1) - grid.X[edges[:, 0]]
+    return np.where(np.einsum("ki,ki->k", normal, inward)[:, None] > 0.0, -normal, normal), length
 
 
 def edge_rule(edges: Array, cells: Array, world: World) -> Rule:

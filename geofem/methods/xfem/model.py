@@ -110,7 +110,7 @@ class XfemModel:
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
-        if probe.quantity in ("KI", "KII", "tip"):
+        if probe.quantity in ("KI", "KII", "T", "tip"):
             return self._of_tip(probe)
         if probe.quantity == "load":
             return self.propagation.load()
@@ -118,6 +118,11 @@ class XfemModel:
             return self.propagation.cycles
         if probe.quantity in ("displacement_error", "energy_error"):
             return self._error(probe)
+        if probe.quantity == "opening":
+            assert probe.at is not None
+            return self.cracked.opening(np.array(probe.at, float))
+        if probe.quantity == "opening_error":
+            return self._opening_error(probe)
         if probe.quantity == "displacement":
             assert probe.at is not None
             return float(self.cracked.at(np.array(probe.at, float))[0][probe.component])
@@ -139,8 +144,10 @@ class XfemModel:
         started = min(self._first, key=lambda end: np.hypot(*(end.at - np.array(probe.at))))
         if probe.quantity == "tip":
             return float(self.paths()[started.crack][-1 if started.last else 0, probe.component])
-        for K, end in zip(self.factors()[0], self.ends()):
+        for tip, (K, end) in enumerate(zip(self.factors()[0], self.ends())):
             if (end.crack, end.last) == (started.crack, started.last):
+                if probe.quantity == "T":
+                    return self.cracked.tension(tip)
                 return float(K[0 if probe.quantity == "KI" else 1])
         return 0.0
 
@@ -160,6 +167,14 @@ class XfemModel:
             d = g - np.moveaxis(probe.exact(rule.x.T, self.t), 2, 0)
             density = 0.5 * np.einsum("nij,nij->n", sif.stress(d, self.intact.lam[cell], self.intact.mu[cell]), d)
             return float(np.sqrt(self.comm.allreduce(rule.w @ density, op=MPI.SUM)))
+
+    def _opening_error(self, probe: Probe) -> float:
+        """See ``opening_error`` of ``Probe``. Collective."""
+        assert probe.exact is not None
+        faces = self.cracked.faces
+        square = (faces.jumps(self.cracked.x)[:, 0] - probe.exact(faces.rule.x.T, self.t)) ** 2
+        total, length = self.comm.allreduce(np.array([faces.rule.w @ square, faces.rule.w.sum()]), op=MPI.SUM)
+        return float(np.sqrt(total / length))
 
     def energy(self) -> dict[str, float]:
         return dict(self._energy)
