@@ -26,7 +26,7 @@ def unit_square(crack=KINKED, n=10):
     body = meshes.build(MPI.COMM_WORLD, scene, n=n)
     mesh_grid = grid.Grid(fem.functionspace(body.mesh, ("Lagrange", 1, (2,))), body.regions)
     lines = geometry.polylines(scene.cracks)
-    tips = geometry.find_tips(mesh_grid, lines, np.empty((0, 2), int))
+    tips = geometry.find_tips(mesh_grid, lines, np.zeros((1, 2), bool), np.empty((0, 2), int))
     touch = geometry.touching(mesh_grid, lines, tips)
     return mesh_grid, lines, rules.Cutter(mesh_grid, lines, touch, np.array(crack[-1:]))
 

@@ -22,6 +22,9 @@ ITERATIVE_DOFS = 30_000
 """3D problems above this many dofs are solved by CG + GAMG, all others by MUMPS: up to three times faster at 73k dofs
 (benchmarks/solvers.py)."""
 
+MINIMUM_FILL, AUTOMATIC = 2, 7
+"""MUMPS's orderings. In 2D approximate minimum fill with a symmetric factorisation takes less than half the time of MUMPS's own choice
+and LU at 15k dofs, .6 at 60k, and .7 at 230k (benchmarks/xfem_static.py)."""
 FACTORISATION_ERRORS = (71, 72, 76)
 """PETSc's numbers of a zero pivot, a floating point exception, and an error within an external library like MUMPS."""
 UNSOLVED = 1e-3
@@ -94,14 +97,16 @@ class Operator(Protocol):
 class LinearSolver:
     """Solve with one matrix again and again.
 
-    MUMPS in 2D and for small, mixed or plastic systems; CG with GAMG and the rigid-body near-nullspace for large elastic
-    ones in 3D. Every choice can be overridden by PETSc options without prefix (``-ksp_type gmres -pc_type ilu``).
+    MUMPS in 2D and for small, mixed or plastic systems, its symmetric factorisation for definite ones; CG with GAMG and the
+    rigid-body near-nullspace for large elastic ones in 3D. Every choice can be overridden by PETSc options without prefix
+    (``-ksp_type gmres -pc_type ilu``).
     """
 
     def __init__(self, matrix: Operator, space: fem.FunctionSpace, definite: bool):
         self.matrix, self.iterations = matrix, 0
         dofs = space.dofmap.index_map.size_global * space.dofmap.index_map_bs
         self._definite = definite
+        self._ordering = MINIMUM_FILL if space.mesh.geometry.dim == 2 else AUTOMATIC
         self._iterative = definite and space.mesh.geometry.dim == 3 and dofs > ITERATIVE_DOFS
         if self._iterative:
             matrix.mat.setBlockSize(3)
@@ -113,7 +118,10 @@ class LinearSolver:
         self._left = self._b.duplicate()
         self.ksp = PETSc.KSP().create(self.matrix.mat.comm)
         self.ksp.setOperators(self.matrix.mat)
-        options = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps", "mat_mumps_icntl_14": 100}
+        options: dict[str, Any] = {
+            "ksp_type": "preonly", "pc_type": "cholesky" if self._definite else "lu", "pc_factor_mat_solver_type": "mumps",
+            "mat_mumps_icntl_7": self._ordering, "mat_mumps_icntl_14": 100,
+        }  # fmt: skip
         if self._iterative:
             options = {"ksp_type": "cg", "ksp_rtol": 1e-10, "ksp_max_it": 500, "pc_type": "gamg", "mg_levels_ksp_type": "chebyshev",
                        "mg_levels_pc_type": "jacobi"}  # fmt: skip

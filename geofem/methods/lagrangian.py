@@ -8,6 +8,7 @@ from geofem import materials
 from geofem.core import mesh as meshes
 from geofem.core.forms import UFL_LAWS, Template
 from geofem.methods import conforming
+from geofem.methods.conforming.model import ConformingModel
 from geofem.methods.lagrangian_model import LagrangianModel
 from geofem.mistake import Mistake
 from geofem.scene import Scene
@@ -51,7 +52,8 @@ class Fem:
         rho_inf: float = 1.0,
         tolerance: float | None = None,
         quarter_point: bool | None = None,
-    ) -> LagrangianModel:
+        da: float | None = None,
+    ) -> LagrangianModel | ConformingModel:
         """Discretise a scene.
 
         Parameters
@@ -69,6 +71,8 @@ class Fem:
         tolerance : out-of-balance force relative to the forces that balance; 1e-9, and 1e-5 for plastic laws.
         quarter_point : of the cells around a crack tip, put the nodes on the sides to it at a quarter (Barsoum 1976); with cracks
             the default for orders 2 and 3.
+        da : way of the fastest tip in a step (m), where cracks grow; a twentieth of the scene's length of growth by default. Each
+            step has a mesh of its own.
 
         Bodies with cracks have linear elastic triangles that follow them; formulation, frame and the like stay as they are.
 
@@ -79,9 +83,16 @@ class Fem:
             check_element(order, "triangle", quadrature)
             if (cell or "triangle", formulation, frame) != ("triangle", "displacement", "total"):
                 raise Mistake(f"scene {scene.name} has cracks: leave the knobs cell, formulation and frame as they are")
-            return conforming.build(scene, n, order, grading, quarter_point, steps)
-        if quarter_point is not None:
-            raise Mistake(f"knob quarter_point = {quarter_point}: scene {scene.name} has no crack")
+            if scene.growth is not None and (steps is not None or not (da is None or da > 0)):
+                raise Mistake(
+                    f"knobs da = {da} and steps = {steps}: where cracks grow, each step is of da > 0 (m); leave steps"
+                )
+            if scene.growth is None and da is not None:
+                raise Mistake(f"knob da = {da:g}: no crack of scene {scene.name} grows; give it a Growth, or use geofem.grow")
+            return conforming.build(scene, n, order, grading, quarter_point, steps, da)
+        for name, value in (("quarter_point", quarter_point), ("da", da)):
+            if value is not None:
+                raise Mistake(f"knob {name} = {value}: scene {scene.name} has no crack")
         plastic = any(region.material.law in ISOCHORIC for region in scene.regions)
         if cell is None:
             cell = (

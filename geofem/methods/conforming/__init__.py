@@ -6,7 +6,9 @@ from mpi4py import MPI
 
 from geofem import materials
 from geofem.core.forms import Template
+from geofem.cost import phase
 from geofem.methods.conforming import mesh
+from geofem.methods.conforming.body import CrackedBody
 from geofem.methods.conforming.model import ConformingModel
 from geofem.mistake import Mistake
 from geofem.scene import MeshFile, Scene
@@ -28,13 +30,21 @@ def refuses(scene: Scene) -> str | None:
         return "fem makes its own mesh along cracks; give shapes in place of a mesh file"
     if any(crack.pressure or crack.friction is not None or crack.cohesion for crack in scene.cracks):
         return "fem takes cracks with free faces only; use xfem where they bear pressure, contact or cohesion"
+    if scene.growth is not None and scene.growth.strength is not None:
+        return "fem lets no new cracks open; use xfem"
     if any(probe.quantity in ("T", "opening", "opening_error") for probe in scene.probes):
         return "fem measures no T-stress or opening of cracks; use xfem"
     return None
 
 
 def build(
-    scene: Scene, n: int, order: int, grading: float | None, quarter_point: bool | None, steps: int | None
+    scene: Scene,
+    n: int,
+    order: int,
+    grading: float | None,
+    quarter_point: bool | None,
+    steps: int | None,
+    da: float | None,
 ) -> ConformingModel:
     """Discretise a scene with cracks; see ``Fem.build`` for the knobs, which are checked there. Collective."""
     quarter_point = order > 1 if quarter_point is None else quarter_point
@@ -44,18 +54,23 @@ def build(
         materials.check(region.material, f"region {region.name!r}", incompressible_ok=False)
     geometry = min(order, 2)
     grading = GRADING if grading is None else grading
-    body, tips = mesh.build(MPI.COMM_WORLD, scene, n, geometry, grading, quarter_point)
-    template = Template(
-        cell="triangle",
-        geometry=body.mesh.ufl_domain().ufl_coordinate_element(),
-        order=order,
-        plane=scene.plane,
-        strain="small",
-        laws=("linear_elastic",) * len(scene.regions),
-        mixed=False,
-        updated=False,
-        # cells around a tip and along round sides are not affine
-        degree=max(1, 2 * (order - 1) + 2 * (geometry - 1)),
-        followers=sum(load.kind == "pressure" for load in scene.loads),
-    )
-    return ConformingModel(scene, template, body, tips, steps or 1)
+
+    def make(present: Scene) -> CrackedBody:
+        with phase("mesh"):
+            meshed = mesh.build(MPI.COMM_WORLD, present, n, geometry, grading, quarter_point)
+        template = Template(
+            cell="triangle",
+            geometry=meshed.body.mesh.ufl_domain().ufl_coordinate_element(),
+            order=order,
+            plane=scene.plane,
+            strain="small",
+            laws=("linear_elastic",) * len(scene.regions),
+            mixed=False,
+            updated=False,
+            # cells around a tip and along round sides are not affine
+            degree=max(1, 2 * (order - 1) + 2 * (geometry - 1)),
+            followers=sum(load.kind == "pressure" for load in scene.loads),
+        )
+        return CrackedBody(present, template, meshed, steps or 1)
+
+    return ConformingModel(scene, make, da if da is not None else scene.t_end / 20.0)

@@ -39,9 +39,15 @@ class Tip(NamedTuple):
     clear: float
 
 
-def build(
-    comm: MPI.Intracomm, scene: Scene, n: int, order: int, grading: float, quarter_point: bool
-) -> tuple[Body, tuple[Tip, ...]]:
+class Meshed(NamedTuple):
+    """A body along whose cracks the mesh is parted. walls : (k, 2, 2) the sides of its boundary (m), those of cracks left out."""
+
+    body: Body
+    tips: tuple[Tip, ...]
+    walls: Array
+
+
+def build(comm: MPI.Intracomm, scene: Scene, n: int, order: int, grading: float, quarter_point: bool) -> Meshed:
     """Mesh the regions of a scene along its cracks. Collective.
 
     n, grading : as in ``geofem.core.mesh.build``, towards the tips, and without tips towards the scene's singular points.
@@ -50,15 +56,14 @@ def build(
     Raises ``Mistake`` for bodies that overlap or that Gmsh cannot mesh.
     """
     made = on_root(comm, lambda: serial(scene, n, order, grading))
-    cells, tips = made if made else (None, ())
-    tips = comm.bcast(tips)
-    if cells and quarter_point:
-        move_to_quarter(cells, tips)
-    return meshes.distribute(comm, scene, cells), tips
+    tips, walls = comm.bcast(made and made[1:])
+    if made and quarter_point:
+        move_to_quarter(made[0], tips)
+    return Meshed(meshes.distribute(comm, scene, made and made[0]), tips, walls)
 
 
-def serial(scene: Scene, n: int, order: int, grading: float) -> tuple[Cells, tuple[Tip, ...]]:
-    """The mesh, parted along the cracks, and their tips, on one process."""
+def serial(scene: Scene, n: int, order: int, grading: float) -> tuple[Cells, tuple[Tip, ...], Array]:
+    """The mesh, parted along the cracks, their tips and the sides of the boundary, on one process."""
     shapes = [region.shape for region in scene.regions]
     with gmsh_model("cracks") as gmsh:
         occ = gmsh.model.occ
@@ -86,7 +91,8 @@ def serial(scene: Scene, n: int, order: int, grading: float) -> tuple[Cells, tup
     pairs = paired_facets(rows)
     outer = np.ones(len(rows), bool)
     outer[pairs] = False
-    return parted(whole, scene.cracks, pairs), find_tips(scene.cracks, ends, whole.points[rows[outer]])
+    walls = whole.points[rows[outer]]
+    return parted(whole, scene.cracks, pairs), find_tips(scene.cracks, ends, walls), walls
 
 
 def polyline(occ: Any, crack: Crack) -> list[int]:

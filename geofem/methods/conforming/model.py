@@ -1,137 +1,160 @@
-"""The model behind method ``fem`` for bodies with cracks: the balance of momentum on a mesh that conforms to them."""
+"""The model behind method ``fem`` for scenes with cracks, as the runner sees it: where they grow, each step has a mesh of its own."""
 
 from __future__ import annotations
 
-from functools import cached_property
+import gc
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from dolfinx import fem
 from mpi4py import MPI
+from petsc4py import PETSc
 
-from geofem.core import intensity as sif
-from geofem.core.forms import Template
-from geofem.core.mesh import Body
-from geofem.core.neartip import kolosov
-from geofem.cost import phase
-from geofem.methods.conforming.fields import Fields, Points, modes_at
-from geofem.methods.conforming.mesh import Tip
-from geofem.methods.lagrangian_model import LagrangianModel
-from geofem.mistake import Mistake
-from geofem.scene import Array, Probe, Scene
+from geofem.core.propagation import End, Peak, Propagation
+from geofem.methods.conforming.body import CrackedBody
+from geofem.mistake import Breakdown, Mistake
+from geofem.scene import Array, Crack, Growth, Probe, Scene
 
-OUTER, INNER = 0.8, 0.4
-"""Radii to which q falls, as parts of what is clear around a tip: where K is taken, and the one it is compared with."""
-PLATEAU = 0.5
-"""The part of that radius within which q is 1: rings that are wide beside the cells keep the full order of the solution."""
-FINE = 10
-"""Degree of the rule with which errors and intensity factors are integrated."""
-INWARD = 1e-10
-"""Prescribed displacements are asked for this part of the way from a node into its cells: both faces of a crack lie in one place."""
+FORGET = 10
+"""Remeshings after which what former meshes held is freed: a process has only some 2000 communicators."""
 
 
-class ConformingModel(LagrangianModel):
-    """A linear elastic body with cracks that its mesh is parted along.
+class ConformingModel:
+    """A scene with cracks: the body with the present ones, and what was counted on the way to its state.
 
     Parameters
     ----------
-    tips : of the cracks. steps : of the load.
+    make : the body of a scene, meshed anew. da : way of the fastest tip in a step (m), where cracks grow.
     """
 
-    def __init__(self, scene: Scene, template: Template, body: Body, tips: tuple[Tip, ...], steps: int):
-        super().__init__(scene, template, body, steps, rho_inf=1.0, tolerance=1e-9, plastic=False)
-        self.tips = tips
-        self.fields = Fields(self.dofs.space, tips)
-        constants = [self.forms.constants[f"{name}{i}"].value for name in ("lam", "mu") for i in range(len(scene.regions))]
-        self.lam, self.mu = np.array(constants, float).reshape(2, -1)[:, body.regions]
-        for condition in self.balance.conditions:
-            condition.move_inward(INWARD)
+    def __init__(self, scene: Scene, make: Callable[[Scene], CrackedBody], da: float):
+        self.scene, self._make, self._da = scene, make, da
+        self.comm = MPI.COMM_WORLD
+        self.cracked = make(scene)
+        self.t = 0.0
+        self._external = 0.0
+        self._remeshes, self._steps = 0, 0
+        self._first = self.ends()
+        self.propagation = Propagation(scene.growth or Growth(length=scene.length), self)
+        if scene.growth is not None:
+            self.cracked.balance_at(0.0)
+            self._external = self.cracked.energy()["internal"]  # the load has risen to its size before t = 0
+        self._factors: tuple[Array, Array] | None = None
 
+    # --- cracks that grow, see ``geofem.core.propagation.Cracks`` ----------------------------------------------------
+    def paths(self) -> list[Array]:
+        return [np.array(crack.points, float) for crack in self.cracked.scene.cracks]
+
+    def ends(self) -> list[End]:
+        return [End(tip.crack, tip.last, tip.at, tip.axis) for tip in self.cracked.tips]
+
+    def factors(self) -> tuple[Array, Array]:
+        if self._factors is None:
+            self._factors = self.cracked.factors()
+        return self._factors
+
+    def recut(self, paths: list[Array]) -> None:
+        """Mesh the body along cracks in the place of the present ones, and balance the load anew; these stay if that fails.
+
+        External work is counted for loads that do not change. Collective.
+        """
+        before = self.cracked
+        cracks = tuple(Crack(tuple(map(tuple, path.tolist()))) for path in paths)
+        try:
+            after = self._make(replace(self.scene, cracks=cracks))
+        except Mistake as mistake:
+            raise Breakdown("tangle", str(mistake)) from None
+        after.balance_at(self.t)
+        self._external += after.load_work() - before.load_work()
+        self.cracked, self._factors = after, None
+        self._remeshes += 1
+        if self._remeshes % FORGET == 0:
+            del before
+            gc.collect()
+            PETSc.garbage_cleanup(self.comm)
+
+    def walls(self) -> Array:
+        return self.cracked.walls
+
+    def peak(self, away: float) -> Peak | None:
+        raise Mistake("fem lets no new cracks open; use xfem")
+
+    # --- the step -------------------------------------------------------------------------------------------------
+    def dt(self) -> float:
+        return self._da if self.scene.growth is not None else self.cracked.dt()
+
+    def step(self, dt: float) -> None:
+        """Advance by dt. Raises ``Breakdown`` if the matrix is singular, or (arrest) where no crack grows any more."""
+        if self.scene.growth is not None:
+            self.t += self.propagation.step(dt)
+        else:
+            self._factors = None
+            self.cracked.step(dt)
+            self.t, self._external = self.cracked.t, self.cracked.energy()["external"]
+        self._steps += 1
+
+    @property
+    def work(self) -> dict[str, int]:
+        return {"steps": self._steps, "remeshes": self._remeshes}
+
+    # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
-        if probe.quantity in ("KI", "KII"):
-            assert probe.at is not None
-            if not self.tips:
-                raise Mistake(f"probe {probe.name!r}: no crack of scene {self.scene.name} ends inside a body; there is no tip")
-            tip = int(np.argmin([np.hypot(*(tip.at - np.array(probe.at))) for tip in self.tips]))
-            return float(self.intensity(tip)[0 if probe.quantity == "KI" else 1])
-        if probe.quantity in ("displacement_error", "energy_error"):
-            return self._error(probe)
-        return super().probe(probe)
+        if probe.quantity in ("KI", "KII", "tip"):
+            return self._of_tip(probe)
+        if probe.quantity == "load":
+            return self.propagation.load()
+        if probe.quantity == "cycles":
+            return self.propagation.cycles
+        return self.cracked.probe(probe)
+
+    def _of_tip(self, probe: Probe) -> float:
+        """A quantity of the tip that started nearest to a point. Collective."""
+        assert probe.at is not None
+        if not self._first:
+            raise Mistake(f"probe {probe.name!r}: no crack of scene {self.scene.name} ends inside a body; there is no tip")
+        started = min(self._first, key=lambda end: np.hypot(*(end.at - np.array(probe.at))))
+        if probe.quantity == "tip":
+            return float(self.paths()[started.crack][-1 if started.last else 0, probe.component])
+        for K, end in zip(self.factors()[0], self.ends()):
+            if (end.crack, end.last) == (started.crack, started.last):
+                return float(K[0 if probe.quantity == "KI" else 1])
+        return 0.0
+
+    def energy(self) -> dict[str, float]:
+        return self.cracked.energy() | {"external": self._external}
 
     def checks(self) -> dict[str, float | None]:
-        """As for bodies without cracks, and how far K differs between two rings: ``path``, the worst of all tips."""
-        path = None
-        if self.tips and self.t:
-            outer, inner = ([self.intensity(tip, part) for tip in range(len(self.tips))] for part in (OUTER, INNER))
-            path = max(float(np.hypot(*(a - b)) / (np.hypot(*a) or 1.0)) for a, b in zip(outer, inner))
-        return super().checks() | {"path": path}
+        return self.cracked.checks()
+
+    def size(self) -> dict[str, int]:
+        return self.cracked.size()
+
+    def savings(self) -> dict[str, float]:
+        return {}
+
+    def snapshot(self) -> dict[str, Any]:
+        return self.cracked.snapshot()
+
+    def functions(self) -> list[fem.Function]:
+        return [] if self.scene.growth is not None else self.cracked.functions()
 
     def state(self) -> dict[str, np.ndarray]:
-        """The time and the work done: a linear body without memory is solved anew when a run is resumed."""
-        numbers = [self.t, self._dt, self._imbalance, self._energy["external"]]
-        return {"numbers": np.array(numbers), "work": np.array(list(self.work.values()))}
+        """The time, the work done and the cracks: a linear body without memory is solved anew when a run is resumed."""
+        paths = self.paths()
+        numbers = [self.t, self._external, self._steps, self._remeshes, self.propagation.cycles]
+        start = np.cumsum([0, *map(len, paths)])
+        return {"numbers": np.array(numbers), "points": np.concatenate(paths), "start": start}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        self.t, self._dt, self._imbalance, external = state["numbers"].tolist()
-        self.balance.solve(self.t, self.t)
-        self._accept()
-        self._energy["external"] = external
-        self.work = dict(zip(self.work, state["work"].tolist()))
-
-    # --- what is measured at tips and against exact fields --------------------------------------------------------
-    def intensity(self, tip: int, part: float = OUTER) -> Array:
-        """K_I and K_II (2,) of a tip (Pa sqrt(m)), by a ring up to that part of what is clear around it. Collective."""
-        if self.t == 0.0:
-            return np.zeros(2)
-        ring, x = self._ring(tip, part)
-        kappa = self._kappa[tip]
-        return sif.intensity(ring, modes_at(x, self.tips[tip].at, self.tips[tip].axis, kappa), kappa)
-
-    def release(self, tip: int, part: float = OUTER) -> float:
-        """The energy that is released per area of new crack, straight ahead of a tip (J/m2). Collective."""
-        return sif.release(self._ring(tip, part)[0]) if self.t else 0.0
-
-    def _ring(self, tip: int, part: float) -> tuple[sif.Ring, Array]:
-        """The solution where q falls from 1 to 0 around a tip, and the points (n, 2)."""
-        at, axis, _, _, clear = self.tips[tip]
-        with phase("intensity"):
-            radius = part * clear
-            r = np.hypot(*(self.fields.X - at).T).T
-            q = np.where(r == 0.0, 1.0, np.clip((radius - r) / ((1.0 - PLATEAU) * radius), 0.0, 1.0))
-            cells = np.flatnonzero(np.ptp(q, axis=1) > 0.0)
-            points = self._at_points(cells)
-            b, c = (self.fields.X[cells, k] - self.fields.X[cells, 0] for k in (1, 2))
-            db, dc = (q[cells, k] - q[cells, 0] for k in (1, 2))
-            double = b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0]
-            slope = np.zeros((len(r), 2))
-            slope[cells] = np.stack([db * c[:, 1] - dc * b[:, 1], dc * b[:, 0] - db * c[:, 0]], axis=1) / double[:, None]
-            lam, mu = self.lam[points.cell], self.mu[points.cell]
-            return sif.Ring(self.comm, points.w, slope[points.cell], points.g, axis, lam, mu), points.x
-
-    @cached_property
-    def _kappa(self) -> list[float]:
-        """Kolosov's constant of the region around each tip. Collective."""
-        regions = self.scene.regions
-        of = np.array([kolosov(region.material.parameters["nu"], self.scene.plane) for region in regions])
-        mine = [
-            self.body.regions[np.hypot(*(self.fields.X - tip.at).T).min(axis=0) == 0.0].max(initial=-1) for tip in self.tips
-        ]
-        return [float(of[self.comm.allreduce(int(region), op=MPI.MAX)]) for region in mine]
-
-    def _at_points(self, cells: Array) -> Points:
-        return self.fields.at_points(cells, self._displacement(), FINE)
-
-    def _error(self, probe: Probe) -> float:
-        """See ``displacement_error`` and ``energy_error`` of ``Probe``. Collective."""
-        assert probe.exact is not None
-        if self.t == 0.0:
-            return 0.0
-        with phase("errors"):
-            points = self._at_points(np.arange(len(self.fields.X)))
-            if probe.quantity == "displacement_error":
-                square = ((points.u - probe.exact(points.x.T, self.t).T) ** 2).sum(axis=1)
-                total, area = self.comm.allreduce(np.array([points.w @ square, points.w.sum()]), op=MPI.SUM)
-                return float(np.sqrt(total / area))
-            d = points.g - np.moveaxis(probe.exact(points.x.T, self.t), 2, 0)
-            stress = sif.stress(d, self.lam[points.cell], self.mu[points.cell])
-            density = 0.5 * np.einsum("nij,nij->n", stress, d)
-            return float(np.sqrt(self.comm.allreduce(float(points.w @ density), op=MPI.SUM)))
+        t, external, steps, remeshes, self.propagation.cycles = state["numbers"].tolist()
+        self.t = t
+        if self.scene.growth is not None:
+            start = state["start"]
+            self.recut([state["points"][a:b] for a, b in zip(start, start[1:])])
+        else:
+            self.cracked.balance_at(t)
+            self._factors = None
+        self._external, self._steps, self._remeshes = external, int(steps), int(remeshes)

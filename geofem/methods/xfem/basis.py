@@ -12,19 +12,21 @@ import numpy as np
 from geofem.core.neartip import branches, modes
 from geofem.materials.kinematics import kernel
 from geofem.methods.xfem.enrichment import JUMP, MODES, WIDTH, CellEntries, Entries, Functions
-from geofem.methods.xfem.geometry import Lines, Tips, polar, side
+from geofem.methods.xfem.geometry import Lines, Tips, polar
+from geofem.methods.xfem.junctions import Sectors, part
 from geofem.methods.xfem.rules import Rule
 from geofem.scene import Array
 
 
 class World(NamedTuple):
-    """All that the basis depends on: nodes X (n, 2), cells T (m, 3), entries, functions, and the cracks."""
+    """All that the basis depends on: nodes X (n, 2), cells T (m, 3), entries, functions, the cracks and their sectors."""
 
     X: Array
     T: Array
     entries: Entries
     functions: Functions
     lines: Lines
+    sectors: Sectors
     tips: Tips
 
 
@@ -100,7 +102,7 @@ def enriched(x: float, y: float, k: int, acting: CellEntries, world: World, s: S
         if f != present:
             present = f
             if kind == JUMP:
-                here = side(x, y, world.lines, of, 0.0)
+                here = part(x, y, world.lines, world.sectors, of)
             else:
                 r, theta = polar(x, y, world.lines, world.tips, of, 0.0)
                 ax, ay = world.tips.axis[of]
@@ -118,7 +120,7 @@ def enriched(x: float, y: float, k: int, acting: CellEntries, world: World, s: S
                             R0 += s.dN[at, 0] * ramp
                             R1 += s.dN[at, 1] * ramp
         if kind == JUMP:
-            h = 0.5 * (here - entries.value[e, 0])
+            h = 0.5 * (here - entries.value[e, 0]) if here != 0.0 else 0.0
             for c in range(2):
                 V[n, c] = s.N[v] * h
                 G[n, c, 0], G[n, c, 1] = s.dN[v, 0] * h, s.dN[v, 1] * h

@@ -13,11 +13,12 @@ from geofem.core.conditions import Loads
 from geofem.core.neartip import point_force
 from geofem.cost import phase
 from geofem.methods.xfem.basis import World, blocks, fields_at
-from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of, sides_of
+from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of
 from geofem.methods.xfem.faces import faces_of, pieces
 from geofem.methods.xfem.fields import modes_at
 from geofem.methods.xfem.geometry import Lines, Tips, cells_at, distance_to, find_tips, touching
 from geofem.methods.xfem.intact import Intact
+from geofem.methods.xfem.junctions import network, sectors_of
 from geofem.methods.xfem.loads import EnrichedLoads, body_force
 from geofem.methods.xfem.picture import picture
 from geofem.methods.xfem.rules import Cutter, Degrees, Rule
@@ -52,18 +53,19 @@ class Cracked:
     """
 
     def __init__(self, intact: Intact, scene: Scene, loads: Loads, lines: Lines, choice: TipChoice | None, radius: float):
-        self.intact, self.scene, self.loads, self.lines, self.radius = intact, scene, loads, lines, radius
+        self.intact, self.scene, self.loads, self.radius = intact, scene, loads, radius
         self.comm, self.grid, self.lam, self.mu = intact.comm, intact.grid, intact.lam, intact.mu
         with phase("cut"):
-            self.tips = find_tips(self.grid, lines, intact.boundary)
+            self.lines = lines = network(lines)
+            self.sectors = sectors_of(lines)
+            self.tips = find_tips(self.grid, lines, self.sectors.joined, intact.boundary)
             self.kappa = self._kappa_at(self.tips)
             touch = touching(self.grid, lines, self.tips)
             self.cutter = Cutter(self.grid, lines, touch, self.tips.at)
             self.radii = self._radii()
-            self.enrichment = Enrichment(self.grid, lines, self.tips, self.cutter, choice, self.radii, self.kappa)
-            self._parted = sides_of(self.cutter, len(lines.start) - 1)
+            self.enrichment = Enrichment(self.grid, self.sectors, self.tips, self.cutter, choice, self.radii, self.kappa)
             entries, functions = self.enrichment.entries, self.enrichment.functions
-            self.world = World(self.grid.X, self.grid.T, entries, functions, lines, self.tips)
+            self.world = World(self.grid.X, self.grid.T, entries, functions, lines, self.sectors, self.tips)
             count = np.diff(entries.start)
             cells = np.flatnonzero(count[self.grid.T].any(axis=1))
             acting = self.acting(cells)
@@ -93,7 +95,7 @@ class Cracked:
     def acting(self, cells: Array) -> CellEntries:
         """The entries that act in the given cells."""
         return entries_of(
-            cells, self.grid.T, self.enrichment.entries, self.enrichment.functions, self.cutter.place, self._parted
+            cells, self.grid.T, self.enrichment.entries, self.enrichment.functions, self.cutter.place, self.enrichment.parted
         )
 
     def _has_tip_functions(self, acting: CellEntries) -> Array:

@@ -4,7 +4,9 @@ An enrichment is one function: the jump across one crack, or the near field of o
 an entry with dofs and with the function's value at the node, which is taken off so that the standard dofs stay the nodal
 displacements (the shift). Kinds:
 
-JUMP : N_i (H - H_i) / 2, H = +-1 by the side of the crack; two dofs, the components.
+JUMP : N_i (H - H_i) / 2, H = +-1 by the side of the crack; two dofs, the components. Of a crack that ends on another one, the
+    function is 0 beyond that one, see ``junctions``. H_i is free for nodes there: it is the side that holds more of their support,
+    so that the function lives on the smaller one, and its overlap with the function of the other crack stays bounded.
 MODES : N_i R (u_m - u_m(x_i)), m = I, II: the displacement fields of the two modes themselves; two dofs, like K_I and K_II.
 BRANCHES : N_i R (f_j - f_j(x_i)), the four branches; eight dofs, a pair of components each (Moes, Dolbow and Belytschko 1999).
 
@@ -20,8 +22,9 @@ import numpy as np
 
 from geofem.materials.kinematics import kernel
 from geofem.methods.xfem.fields import branches_at, modes_at
-from geofem.methods.xfem.geometry import TOUCH, Lines, Tips, cells_at, side, sides
+from geofem.methods.xfem.geometry import TOUCH, Lines, Tips, cells_at, sides
 from geofem.methods.xfem.grid import TIE, Grid
+from geofem.methods.xfem.junctions import Sectors, part, parts
 from geofem.methods.xfem.rules import ONE, Cutter, Triangles, double_area
 from geofem.scene import Array
 
@@ -77,13 +80,16 @@ class Enrichment:
     """The entries of all nodes of a grid, the same on every rank that knows the node.
 
     functions, entries : see there. dofs : local number of enriched dofs; the owned ones come first.
+    parted : (touched cells, cracks), where a crack's function is not zero: 1 on its - side, 2 on its + side, 3 on both.
     """
 
     def __init__(
-        self, grid: Grid, lines: Lines, tips: Tips, cutter: Cutter, choice: TipChoice | None, radius: Array, kappa: Array
+        self, grid: Grid, sectors: Sectors, tips: Tips, cutter: Cutter, choice: TipChoice | None, radius: Array, kappa: Array
     ):
-        self.grid, self.lines, self.tips = grid, lines, tips
+        lines = cutter.lines
+        self.grid, self.lines, self.sectors, self.tips = grid, lines, sectors, tips
         cracks = len(lines.start) - 1
+        self.parted = np.zeros((len(cutter.touch.cells), cracks), np.int64)
         near = [self._near_tip(t) for t in range(len(tips.turn))]
         # within a disc, modes open the crack next to its tip, and a jump there would depend on them: the condition grows by half
         apart = [held if choice is not None and choice.disc else inside for held, inside in near]
@@ -118,21 +124,34 @@ class Enrichment:
         apart : per tip, the nodes without jump (nodes,), among them all whose support has the tip inside: it is not parted.
         """
         grid = self.grid
-        cells = crack_cells(cutter, c)
-        plus, minus = areas(cutter.triangles(cells, np.full(len(cells), ONE)), self.lines, c)
+        cells = jump_cells(cutter, self.sectors, c)
+        plus, minus = areas(cutter.triangles(cells, np.full(len(cells), ONE)), self.lines, self.sectors, c)
+        least = 1e-13 * grid.area[cells]
+        self.parted[cutter.place[cells], c] = (minus > least) + 2 * (plus > least)
         nodes = grid.T[cells]
-        near = np.unique(nodes)
+        of_plus, of_minus = (grid.sum_to_nodes(nodes.ravel(), np.repeat(area, 3)) for area in (plus, minus))
+        near = np.flatnonzero(of_plus + of_minus > 0.0)  # also nodes whose cells there are another rank's
         own = np.ones(len(grid.X))
-        own[near] = sides(grid.X[near], self.lines, c, TOUCH * np.sqrt(grid.support[near]))[0]
-        other = np.where(own[nodes] > 0, minus[:, None], plus[:, None])
-        opposite = grid.sum_to_nodes(nodes.ravel(), other.ravel())
-        chosen = opposite > LEAST * grid.support
+        own[near] = self._own_sides(near, c, of_plus[near], of_minus[near])
+        chosen = np.where(own > 0, of_minus, of_plus) > LEAST * grid.support
         for t in np.flatnonzero(self.tips.crack == c):
             chosen &= ~apart[t]
         found = np.flatnonzero(chosen)
         values = np.zeros((len(found), 4))
-        values[:, 0] = sides(grid.X[found], self.lines, c, TOUCH * np.sqrt(grid.support[found]))[0]
+        values[:, 0] = own[found]
         return found, c, values, np.ones(len(found))
+
+    def _own_sides(self, nodes: Array, c: int, plus: Array, minus: Array) -> Array:
+        """The side of each node, +-1; of those that lie on neither, the one that has more of their support: plus or minus (nodes,)."""
+        x, slack, sectors = self.grid.X[nodes], TOUCH * np.sqrt(self.grid.support[nodes]), self.sectors
+        if not sectors.joined[c].any():
+            return sides(x, self.lines, c, slack)[0]
+        here = parts(x, self.lines, sectors, c)
+        # a node on both borders lies on the crack, so on its + side, and one on either of them on the other crack
+        first, second = ((sides(x, border, c, slack)[1] != x).any(axis=1) for border in (sectors.plus, sectors.minus))
+        here[first != second] = 0.0
+        here[first & second] = 1.0
+        return np.where(here == 0.0, np.where(minus > (1.0 + TIE) * plus, -1.0, 1.0), here)
 
     def _tip(
         self, t: int, function: int, choice: TipChoice, held: Array, radius: float, kappa: float
@@ -190,7 +209,7 @@ class CellEntries(NamedTuple):
 def entries_of(cells: Array, T: Array, entries: Entries, functions: Functions, place: Array, parted: Array) -> CellEntries:
     """The entries that are not zero in the given cells.
 
-    place : (cells,) row of each cell in ``parted``, -1 if no crack touches it. parted : (touched cells, cracks) of ``sides_of``.
+    place : (cells,) row of each cell in ``parted``, -1 if no crack touches it. parted : of ``Enrichment``.
     """
     start = np.zeros(cells.shape[0] + 1, np.int64)
     vertex, entry = np.empty(4 * cells.shape[0] + 64, np.int64), np.empty(4 * cells.shape[0] + 64, np.int64)
@@ -237,21 +256,23 @@ def crack_cells(cutter: Cutter, c: int) -> Array:
     return touch.cells[np.unique(owner[mine])]
 
 
-def sides_of(cutter: Cutter, cracks: int) -> Array:
-    """On which sides of each crack the touched cells have parts: (touched cells, cracks), 1 for -, 2 for +, 3 for both."""
-    touch, grid = cutter.touch, cutter.grid
-    out = np.zeros((len(touch.cells), cracks), np.int64)
-    for c in range(cracks):
-        cells = crack_cells(cutter, c)
-        plus, minus = areas(cutter.triangles(cells, np.full(len(cells), ONE)), cutter.lines, c)
-        least = 1e-13 * grid.area[cells]
-        out[np.searchsorted(touch.cells, cells), c] = (minus > least) + 2 * (plus > least)
-    return out
+def jump_cells(cutter: Cutter, sectors: Sectors, c: int) -> Array:
+    """The cells of this rank where the jump of crack c may act. Collective.
+
+    Those that it touches, and if it ends on another crack, those of that one around them, where nodes beyond it see its sectors.
+    """
+    grid, cells = cutter.grid, crack_cells(cutter, c)
+    if not sectors.joined[c].any():
+        return cells
+    nodes = grid.T[cells].ravel()
+    around = grid.sum_to_nodes(nodes, np.ones(len(nodes))) > 0.0
+    others = cutter.touch.cells
+    return others[around[grid.T[others]].any(axis=1)]
 
 
 @kernel
-def areas(triangles: Triangles, lines: Lines, crack: int) -> tuple[Array, Array]:
-    """The area of each cell on the + and on the - side of a crack."""
+def areas(triangles: Triangles, lines: Lines, sectors: Sectors, crack: int) -> tuple[Array, Array]:
+    """The area of each cell on the + and on the - side of a crack, see ``part``."""
     cells = triangles.start.shape[0] - 1
     plus, minus = np.zeros(cells), np.zeros(cells)
     for k in range(cells):
@@ -259,8 +280,9 @@ def areas(triangles: Triangles, lines: Lines, crack: int) -> tuple[Array, Array]
             corners = triangles.corners[t]
             x = (corners[0, 0] + corners[1, 0] + corners[2, 0]) / 3.0
             y = (corners[0, 1] + corners[1, 1] + corners[2, 1]) / 3.0
-            if side(x, y, lines, crack, 0.0) > 0.0:
+            here = part(x, y, lines, sectors, crack)
+            if here > 0.0:
                 plus[k] += 0.5 * double_area(corners)
-            else:
+            elif here < 0.0:
                 minus[k] += 0.5 * double_area(corners)
     return plus, minus

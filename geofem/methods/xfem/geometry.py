@@ -5,6 +5,7 @@ A crack runs from its first point to its last; its + side is on the left of that
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -56,21 +57,23 @@ def polylines(cracks: tuple[Crack, ...]) -> Lines:
     return lines_of([np.array(crack.points, float) for crack in cracks])
 
 
-def lines_of(paths: list[Array]) -> Lines:
-    """Polylines (n, 2), m, as arrays."""
-    counts = [len(path) for path in paths]
-    return Lines(np.concatenate([np.empty((0, 2)), *paths]), np.cumsum([0, *counts]).astype(np.int64))
+def lines_of(cracks: Sequence[Array]) -> Lines:
+    """Polylines (n, 2), one after the other."""
+    points = np.concatenate([np.empty((0, 2)), *cracks])
+    return Lines(points, np.concatenate([[0], np.cumsum([len(line) for line in cracks], dtype=np.int64)]))
 
 
-def find_tips(grid: Grid, lines: Lines, boundary: Array) -> Tips:
-    """The ends of cracks that lie inside a body. Collective.
+def find_tips(grid: Grid, lines: Lines, joined: Array, boundary: Array) -> Tips:
+    """The ends of cracks that lie inside a body and not on another crack. Collective.
 
-    boundary : (facets, 2) nodes of this rank's part of the boundary.
+    joined : (cracks, 2), see ``Sectors``. boundary : (facets, 2) nodes of this rank's part of the boundary.
     """
     found: list[tuple[Array, Array, float, int, int]] = []
     for c in range(len(lines.start) - 1):
         first, last = int(lines.start[c]), int(lines.start[c + 1]) - 1
-        for end, inner, turn in ((first, first + 1, -1.0), (last, last - 1, 1.0)):
+        for end, inner, turn, branch in ((first, first + 1, -1.0, joined[c, 0]), (last, last - 1, 1.0, joined[c, 1])):
+            if branch:
+                continue
             at = lines.points[end]
             held = bool(len(cells_at(grid, at)))
             mouth = distance_to(at, grid.X[boundary]) <= EDGE * grid.size.max(initial=0.0)
@@ -185,8 +188,8 @@ def contact(a: Array, b: Array, p: Array, q: Array, r: Array) -> tuple[float, fl
 
 
 @kernel
-def offset(x: float, y: float, lines: Lines, crack: int) -> tuple[float, float, float]:
-    """Signed offset (m) of a point from a crack, positive on the + side, and the unit normal that it is measured along.
+def offset(x: float, y: float, lines: Lines, crack: int) -> tuple[float, float, float, float]:
+    """Signed offset (m) of a point from a crack, positive on the + side, the unit normal that it is measured along, and the distance (m).
 
     It is measured from the nearest point of the polyline; beyond an end from the straight line on. Nearest to an inner
     vertex, the normal is the mean of its two segments', which has the right sign on either side of any kink.
@@ -213,7 +216,7 @@ def offset(x: float, y: float, lines: Lines, crack: int) -> tuple[float, float, 
             nx, ny = nx + mx, ny + my
     scale = 1.0 / np.hypot(nx, ny)
     nx, ny = nx * scale, ny * scale
-    return (x - lines.points[foot, 0]) * nx + (y - lines.points[foot, 1]) * ny, nx, ny
+    return (x - lines.points[foot, 0]) * nx + (y - lines.points[foot, 1]) * ny, nx, ny, np.sqrt(least)
 
 
 @kernel
@@ -236,9 +239,9 @@ def sides(x: Array, lines: Lines, crack: int, slack: Array) -> tuple[Array, Arra
     their side, by ten times their slack."""
     out, off = np.empty(x.shape[0]), x.copy()
     for k in range(x.shape[0]):
-        distance, nx, ny = offset(x[k, 0], x[k, 1], lines, crack)
-        out[k] = 1.0 if distance >= -slack[k] else -1.0
-        if abs(distance) <= slack[k]:
+        height, nx, ny, distance = offset(x[k, 0], x[k, 1], lines, crack)
+        out[k] = 1.0 if height >= -slack[k] else -1.0
+        if distance <= 2.0 * slack[k]:
             off[k, 0] += 10.0 * slack[k] * nx
             off[k, 1] += 10.0 * slack[k] * ny
     return out, off
