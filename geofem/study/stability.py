@@ -165,7 +165,8 @@ def percent(error: float, _: int = 0) -> str:
 
 
 def number(error: float, _: int = 0) -> str:
-    return f"{float(f'{error:.2g}'):g}"
+    digits, power = f"{error:.1e}".split("e")
+    return f"{float(digits):g}e{int(power)}" if error >= 1e4 else f"{float(f'{error:.2g}'):g}"
 
 
 def draw(this: Map, lines: Sequence[Line]) -> Figure:
