@@ -444,6 +444,8 @@ class Scene:
         if not self.regions:
             raise Mistake(f"scene {self.name}: has no region; give it at least one body")
         if self.growth is not None:
+            if not self.cracks and self.growth.strength is None:
+                raise Mistake(f"scene {self.name}: has no crack that could grow; give it one, or its growth a strength")
             object.__setattr__(self, "t_end", self.growth.length)
         names = [*(s.name for s in self.supports), *(w.name for w in self.walls), *(r.name for r in self.rigids)]
         for probe in self.probes:
