@@ -79,6 +79,8 @@ class StandardBlock:
 class System:
     """One stiffness matrix K, solved for prescribed dofs and forces again and again.
 
+    Factorised afresh where cracks grow: to correct the factors of the standard block costs more (benchmarks/xfem_growth.py).
+
     Parameters
     ----------
     blocks : rows, columns (local dofs) and values of the enriched blocks of this rank's cells.
