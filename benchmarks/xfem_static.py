@@ -83,13 +83,13 @@ def cracked(body: Body) -> int:
     return model.size()["dofs"]
 
 
-def timed(work: Callable[[], int]) -> tuple[float, dict[str, float], int]:
+def timed(work: Callable[..., int], *words: object) -> tuple[float, dict[str, float], int]:
     """CPU seconds of the fastest of several runs, its phases, and its dofs; compilation left out."""
     best = float("inf"), {}, 0
     for _ in range(REPEATS):
         CLOCK.reset()
         start = time.process_time()
-        dofs = work()
+        dofs = work(*words)
         phases = dict(CLOCK.seconds)
         spent = time.process_time() - start - phases.pop("jit", 0.0)
         best = min(best, (spent, phases, dofs), key=lambda one: one[0])
@@ -105,11 +105,13 @@ def main(sizes: tuple[int, ...]) -> None:
           f"{'P1':>9s}{'P2':>9s}{'xfem/P1':>9s}{'xfem/P2':>9s}")  # fmt: skip
     for n in sizes:
         body = meshes.build(MPI.COMM_WORLD, SCENE, n=n)
-        whole, phases, dofs = timed(lambda: cracked(body))
-        one, two = (timed(lambda order=order: plain(body, order))[0] for order in (1, 2))
+        whole, phases, dofs = timed(cracked, body)
+        one, two = (timed(plain, body, order)[0] for order in (1, 2))
         parts = [phases.get(name, 0.0) for name in names]
         shown = "".join(f"{part:9.3f}" for part in (*parts, whole - sum(parts)))
-        print(f"{len(body.regions):8d}{dofs:8d}{whole:8.3f}   ({shown} ){one:9.3f}{two:9.3f}{whole / one:9.2f}{whole / two:9.2f}")
+        print(
+            f"{len(body.regions):8d}{dofs:8d}{whole:8.3f}   ({shown} ){one:9.3f}{two:9.3f}{whole / one:9.2f}{whole / two:9.2f}"
+        )
 
 
 if __name__ == "__main__":
