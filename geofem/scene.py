@@ -54,9 +54,10 @@ class Box:
 
 @dataclass(frozen=True)
 class Polygon:
-    """A simple polygon, corners counter-clockwise. Four corners can be meshed by a mapped grid."""
+    """A simple polygon, corners counter-clockwise, with round holes. Four corners and no hole can be meshed by a mapped grid."""
 
     points: tuple[Point, ...]
+    holes: tuple[Disc, ...] = ()
 
     def __post_init__(self) -> None:
         x, y = np.array(self.points).T
@@ -76,7 +77,7 @@ class Polygon:
                 continue
             crosses = (ay > x[1]) != (by > x[1])
             inside ^= crosses & (x[0] < ax + (x[1] - ay) * (bx - ax) / (by - ay))
-        return inside
+        return inside & ~np.any([hole.contains(x) for hole in self.holes], axis=0)
 
 
 @dataclass(frozen=True)

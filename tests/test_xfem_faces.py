@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +12,9 @@ from test_xfem import built, parted, plain
 
 import geofem
 from geofem import methods, scenes
+from geofem.methods.xfem.facelaw import law_of, respond
 from geofem.mistake import Mistake
-from geofem.scene import Cohesion, Crack, Load
+from geofem.scene import Cohesion, Crack, Growth, Load, Material, Probe, Support
 from geofem.scenes._tip import TipField
 
 E, NU = 1.0, 0.3
@@ -142,6 +145,183 @@ def test_a_pressure_is_a_traction_against_the_normal():
     assert np.abs(forces[0]).max() > 0.01
 
 
+# --- contact and friction ---------------------------------------------------------------------------------------------
+def block(points, loads=(), supports=(), **data):
+    """The unit square on rollers on three sides."""
+    rollers = (
+        Support("base", lambda x: x[1] < 1e-9, (1,)),
+        Support("left", lambda x: x[0] < 1e-9, (0,)),
+        Support("right", lambda x: x[0] > 1 - 1e-9, (0,)),
+    )
+    return replace(
+        plain(points, None), supports=(*rollers, *supports), loads=tuple(loads), cracks=(Crack(tuple(points), **data),)
+    )
+
+
+@pytest.mark.parametrize(
+    ("crack", "friction"),
+    [
+        (((-0.1, 0.5), (1.1, 0.5)), 0.0),
+        (((-0.1, 0.47), (1.1, 0.53)), 0.0306),  # what rollers leave to friction on this slope
+        (((-0.1, 0.45), (1.1, 0.52)), 0.5),
+        (((0.0, 0.45), (0.5, 0.5), (1.0, 0.55)), 0.5),
+    ],
+    ids=("along_edges", "nearly_sliding", "sloping", "through_a_node"),
+)
+def test_a_closed_crack_transmits_uniform_stress(crack, friction):
+    """To rounding, though the crack parts the body: without contact its upper part would float."""
+    model = methods.get("xfem").build(
+        block(crack, [Load("pressure", 1.0, where=lambda x: x[1] > 1 - 1e-9)], friction=friction), n=10
+    )
+    model.step(1.0)
+    n = model.cracked.faces.normal[0]
+    sigma = np.diag([-NU / (1 - NU), -1.0])
+    exact = n @ sigma @ n, n @ sigma @ (n[1], -n[0])
+    assert abs(exact[1]) <= -friction * exact[0] + 1e-12
+    np.testing.assert_allclose(
+        model.cracked.contact.traction, np.broadcast_to(exact, model.cracked.contact.traction.shape), atol=1e-11
+    )
+    assert model.probe(Probe("s", "stress", at=(0.5, 0.4), component=1)) == pytest.approx(-1.0, abs=1e-11)
+    checks = model.checks()
+    assert checks["overlap"] < 1e-13 and checks["momentum"] < 1e-12
+
+
+def pressed(friction, beta=45.0, n=40, **knobs):
+    """The inclined crack under a compression of 1."""
+    scene = scenes.get("inclined_crack")(beta=beta)
+    loads = tuple(replace(load, value=(0.0, -load.value[1])) for load in scene.loads)
+    model = methods.get("xfem").build(
+        replace(scene, loads=loads, cracks=(Crack(scene.cracks[0].points, friction=friction),)), n=n, **knobs
+    )
+    model.step(1.0)
+    return model
+
+
+def test_without_contact_the_faces_overlap_and_K_is_that_of_tension():
+    """The failure: faces run through each other by nine tenths of the crack's length, and K_I is negative."""
+    model = pressed(None)
+    assert model.checks()["overlap"] > 0.8
+    assert model.cracked.factors[0][0, 0] == pytest.approx(-0.89429, rel=5e-3)
+
+
+@pytest.mark.parametrize(("beta", "friction"), [(45.0, 0.0), (45.0, 0.3), (30.0, 0.3)])
+def test_K_of_a_closed_crack_with_friction(beta, friction):
+    """K_I = 0 and K_II = (tau - mu sigma_n) sqrt(pi a) in an infinite plate (Steif 1984); this plate adds .3 %."""
+    model = pressed(friction, beta)
+    c, s = np.cos(np.radians(beta)), np.sin(np.radians(beta))
+    K = model.cracked.factors[0]
+    np.testing.assert_allclose(K[:, 1], -(s * c - friction * c * c) * np.sqrt(np.pi), rtol=0.008)
+    np.testing.assert_allclose(K[:, 0], 0.0, atol=0.01)
+    assert model.checks()["overlap"] < 2e-3
+    # no oscillation: with stations in each cell the pressure scatters by 10 %
+    traction = model.cracked.contact.traction
+    np.testing.assert_allclose(traction[:, 0], -c * c, rtol=0.03)
+    np.testing.assert_allclose(traction[:, 1], friction * traction[:, 0], atol=1e-12)
+
+
+def test_faces_stick_where_friction_exceeds_the_slope():
+    model = pressed(1.02)
+    assert np.abs(model.cracked.factors[0]).max() < 0.003
+    assert np.abs(model.cracked.faces.jumps(model.cracked.x)).max() < 3e-3
+
+
+def test_faces_slip_back_only_after_friction_has_turned():
+    """Sheared to and fro at constant compression: the traction goes round a loop whose height is twice the friction."""
+    top = lambda x: x[1] > 1 - 1e-9  # noqa: E731
+    scene = block(((-0.1, 0.5), (1.1, 0.5)), [Load("pressure", 1.0, where=top, amplitude=lambda t: 1.0)], friction=0.4)
+    pull = Support("pull", lambda x: top(x), (0,), lambda x, t: np.full(x.shape[1], 40.0 * np.interp(t, [0, 1, 3], [0, 1, -1])))
+    hold = Support("hold", lambda x: x[1] < 1e-9, (0,))
+    free = replace(scene, supports=(scene.supports[0], hold, pull), t_end=3.0)
+    model = methods.get("xfem").build(free, n=6, steps=6)
+    found = []
+    while model.t < 3.0:
+        model.step(0.5)
+        found.append((model.probe(Probe("f", "reaction", of="pull", component=0)), model.cracked.contact.slip.mean()))
+    force = np.array(found)[:, 0]
+    np.testing.assert_allclose(force[[0, 1, 3, 4, 5]], (0.4, 0.4, -0.4, -0.4, -0.4), rtol=1e-9)
+    assert found[1][1] > found[0][1] > 5.0 > found[5][1]
+
+
+# --- cohesion ---------------------------------------------------------------------------------------------------------
+def pulled(pull, steps, points=((-0.1, 0.47), (1.1, 0.53)), n=8, **knobs):
+    """A square of E = 100 that is pulled apart along a crack of strength 1 and energy .02."""
+    top = Support("top", lambda x: x[1] > 1 - 1e-9, (1,), lambda x, t: np.full(x.shape[1], pull(t)))
+    scene = block(points, supports=(top,), cohesion=Cohesion(1.0, 0.02))
+    stiff = Material("linear_elastic", 1.0, {"E": 100.0, "nu": NU})
+    scene = replace(scene, regions=(replace(scene.regions[0], material=stiff),), supports=(*scene.supports[:2], top))
+    scene = replace(scene, probes=(Probe("pull", "reaction", of="top", component=1),))
+    return methods.get("xfem").build(scene, n=n, steps=steps, enrichment="heaviside", **knobs)
+
+
+PEAK = (1 - NU**2) / 100.0
+"""Elongation at which the stress is the strength."""
+
+
+def test_a_plate_pulled_apart_bears_the_strength_and_spends_the_energy():
+    model = pulled(lambda t: 5.0 * PEAK * t, 40, points=((-0.1, 0.5), (1.1, 0.5)))
+    forces = []
+    for _ in range(40):
+        model.step(1 / 40)
+        forces.append(model.probe(Probe("pull", "reaction", of="top", component=1)))
+    assert forces[7] == pytest.approx(1.0, rel=1e-9) and max(forces) == forces[7] and abs(forces[-1]) < 1e-9
+    assert model.cracked.contact.dissipated() == pytest.approx(0.02, rel=1e-12)
+    assert model.energy()["external"] == pytest.approx(0.02, rel=3e-3) and model.energy()["internal"] < 1e-12
+    assert model.checks()["momentum"] < 1e-11
+
+
+def test_a_crack_that_slopes_spends_the_energy_of_its_length():
+    model = pulled(lambda t: 0.06 * t, 12)
+    for _ in range(12):
+        model.step(1 / 12)
+    assert model.cracked.contact.dissipated() == pytest.approx(0.02 * np.hypot(1.0, 0.05), rel=1e-12)
+
+
+def test_what_has_opened_closes_along_the_way_to_the_origin_and_bears_pressure():
+    path = lambda t: np.interp(t, [0, 1, 2, 3], [0, 0.02, -0.005, 0.02])  # noqa: E731
+    model = replace_end(pulled(path, 12), 3.0)
+    found = {}
+    while model.t < 2.99:
+        model.step(0.25)
+        found[round(model.t, 2)] = model.probe(Probe("pull", "reaction", of="top", component=1))
+    assert found[2.0] == pytest.approx(-0.005 / PEAK, rel=5e-3)  # nearly as an uncracked block: touching faces slide
+    assert found[3.0] == pytest.approx(found[1.0], rel=1e-9) and 0.3 < found[1.0] < 0.9
+    assert found[1.25] == pytest.approx(0.01375 / 0.02 * found[1.0], rel=1e-3)  # straight to the origin
+
+
+def replace_end(model, t_end):
+    model.scene = replace(model.scene, t_end=t_end)
+    return model
+
+
+def test_a_run_with_a_memory_goes_on_from_its_state():
+    first, second = (pulled(lambda t: np.interp(t, [0, 0.5, 1.0], [0, 0.02, 0.01]), 4) for _ in range(2))
+    first.step(0.25)
+    first.step(0.25)
+    second.restore(first.state())
+    for model in (first, second):
+        model.step(0.25)
+    assert second.cracked.contact.dissipated() == pytest.approx(first.cracked.contact.dissipated(), rel=1e-12)
+    np.testing.assert_allclose(second.cracked.x, first.cracked.x, atol=1e-13)
+
+
+def test_tangents_of_the_laws():
+    """By differences, at random states of contact, stick, slip, and cohesion rigid, softening, unloading and spent."""
+    random = np.random.default_rng(3)
+    z = random.normal(size=(400, 2)) * 2.0
+    kinds = [Crack(((0, 0), (1, 0)), friction=0.4), Crack(((0, 0), (1, 0)), cohesion=Cohesion(1.0, 0.5))]
+    law = law_of([kinds[k % 2] for k in range(400)])
+    worst = np.where(random.random(400) < 0.5, 0.0, random.random(400)) * (law.strength > 0)
+    t, slope = respond(z, law, np.full(400, 2.5), worst)
+    for j in range(2):
+        step = 1e-7 * np.eye(2)[j]
+        slopes = (
+            respond(z + step, law, np.full(400, 2.5), worst)[0] - respond(z - step, law, np.full(400, 2.5), worst)[0]
+        ) / 2e-7
+        np.testing.assert_allclose(slope[:, :, j], slopes, atol=1e-5)
+    opening = np.hypot(*((z - t) / 2.5).T)[law.strength > 0]
+    assert (opening == 0).any() and (opening > 1.0).any() and ((0 < opening) & (opening < 1.0)).any()
+
+
 # --- what is refused --------------------------------------------------------------------------------------------------
 def test_cracks_that_make_no_sense_are_said():
     points = ((0.0, 0.0), (1.0, 0.0))
@@ -150,3 +330,40 @@ def test_cracks_that_make_no_sense_are_said():
             Crack(points, **data)
     with pytest.raises(Mistake, match="energy"):
         Cohesion(1.0, 0.0)
+    scene = block(((0.2, 0.5), (0.8, 0.5)), cohesion=Cohesion(1.0, 1.0))
+    with pytest.raises(Mistake, match="heaviside"):
+        methods.get("xfem").build(scene, n=4)
+    assert "memory" in methods.get("xfem").refuses(replace(scene, growth=Growth(0.1)))
+
+
+@pytest.mark.mpi
+def test_every_number_of_ranks_gives_the_same(mpirun):
+    code = """
+import json, sys
+sys.path.insert(0, TESTS)
+import numpy as np
+from mpi4py import MPI
+import geofem
+from test_xfem_faces import loaded, pressed, pulled
+
+def tell(*numbers):
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps([float(x) for x in numbers]))
+
+r = geofem.run("hydraulic_fracture", "xfem", n=10)
+tell(*r.qoi.values(), r.error["opening"], r.checks["overlap"])
+model = geofem.methods.get("xfem").build(loaded()[0], n=10)
+model.step(1.0)
+tell(*model.cracked.intensity(0), model.cracked.tension(0), model.cracked.release(0))
+model = pressed(0.3, n=20)
+tell(*model.cracked.factors[0].ravel(), *model.cracked.contact.traction.ravel(), model.cracked.overlap())
+model = pulled(lambda t: 0.03 * t, 3)
+for _ in range(3):
+    model.step(1 / 3)
+tell(model.cracked.contact.dissipated(), model.energy()["external"], model.size()["dofs"])
+""".replace("TESTS", repr(str(Path(__file__).parent)))
+    alone = [json.loads(line) for line in mpirun(1, code).splitlines()]
+    assert len(alone) == 4
+    for ranks in (2, 3):
+        for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
+            assert many == pytest.approx(one, rel=1e-9, abs=1e-10)

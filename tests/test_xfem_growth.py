@@ -15,7 +15,7 @@ from geofem import methods, scenes
 from geofem.core import growth
 from geofem.core.propagation import reached
 from geofem.mistake import Mistake
-from geofem.scene import Crack, Growth, Support
+from geofem.scene import Crack, Disc, Growth, Load, Polygon, Scene, Support
 
 
 def growing(name, law, **knobs):
@@ -209,3 +209,83 @@ for step in geofem.grow("inclined_crack", beta=30.0, n=16, da=0.25, until=0.5):
         for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
             np.testing.assert_allclose(many[0], one[0], rtol=0, atol=1e-9)
             np.testing.assert_allclose(many[1], one[1], rtol=1e-9, atol=1e-9)
+
+
+# --- births -----------------------------------------------------------------------------------------------------------
+def plate_with_a_hole(law):
+    """A square of 10 with a hole of radius 1 in its middle, pulled by 1 at its top and bottom."""
+    scene = scenes.get("inclined_crack")()
+    shape = Polygon(((-5.0, -5.0), (4.0, -5.0), (5.0, -5.0), (5.0, -4.0), (5.0, 5.0), (-5.0, 5.0)), (Disc((0.0, 0.0), 1.0),))
+    ends = [lambda x: x[1] > 5.0 - 1e-9, lambda x: x[1] < -5.0 + 1e-9]
+    held = [lambda x: (x[0] > 5.0 - 1e-9) & (x[1] < -4.0 + 1e-9), lambda x: (x[1] < -5.0 + 1e-9) & (x[0] > 4.0 - 1e-9)]
+    return Scene(
+        name="hole",
+        regions=(replace(scene.regions[0], shape=shape),),
+        length=10.0,
+        supports=tuple(Support(f"u{i}", where, (i,)) for i, where in enumerate(held)),
+        loads=tuple(Load("traction", (0.0, sign), where=where) for sign, where in zip((1.0, -1.0), ends)),
+        growth=law,
+        strain="small",
+    )
+
+
+def test_a_crack_is_born_where_the_rim_of_a_hole_is_pulled_most():
+    """On the horizontal diameter, where the stress is three times the load, and a little more in a finite plate (Kirsch 1898)."""
+    steps = list(geofem.grow(plate_with_a_hole(Growth(0.5, strength=2.5, germ=0.6)), n=40, da=0.25))
+    assert steps[0].path == [] and not len(steps[0].K)
+    first, last = steps[1].path[0], steps[-1].path[0]
+    # one of the two ends of the diameter, which are alike
+    assert np.hypot(*first[0]) == pytest.approx(1.0, abs=1e-9) and abs(first[0, 1]) < 0.3
+    assert np.hypot(*(first[1] - first[0])) == pytest.approx(0.6) and abs(first[1, 1] - first[0, 1]) < 0.12
+    assert abs(last[-1, 0]) > 2.0 and abs(last[-1, 1]) < 0.4
+
+
+def test_nothing_is_born_below_the_strength():
+    steps = list(geofem.grow(plate_with_a_hole(Growth(0.5, strength=4.0, germ=0.6)), n=20, da=0.25))
+    assert len(steps) == 1
+    assert list(geofem.grow(plate_with_a_hole(Growth(0.5, strength=4.0, germ=0.6, toughness=1.0)), n=20, da=0.5))[0].load > 1.2
+
+
+def test_a_crack_is_born_inside_across_the_tension():
+    """Forces of mass pull a square apart from its middle line, where the stress is largest inside and on the rim alike."""
+    square = Polygon(((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)))
+    pull = Load("body", lambda x, t: np.array([np.sin(np.pi * x[1]) * (x[0] - 0.5), 0.0 * x[0]]))
+    scene = plate_with_a_hole(Growth(0.2, strength=0.1, germ=0.2))
+    held = (Support("x", lambda x: x[1] < 1e-9, (0,)), Support("y", lambda x: x[1] < 1e-9, (1,)))
+    region = replace(scene.regions[0], shape=square)
+    scene = replace(scene, regions=(region,), length=1.0, supports=held, loads=(pull,))
+    *_, last = geofem.grow(scene, n=20, da=0.1)
+    path = last.path[0]
+    assert np.abs(path[:, 0] - 0.5).max() < 0.1 and 0.3 < path[:, 1].mean() < 0.9
+    assert len(last.tips) == 2 and np.ptp(path[:, 1]) == pytest.approx(0.2 + 2 * 0.2, abs=1e-3)
+
+
+# --- scenes -----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("a", "b"), [(1.5, 5.0), (1.0, 6.0)])
+def test_three_holes_are_passed_in_their_order(a, b):
+    result = geofem.run("three_holes", "xfem", a=a, b=b, n=40, da=0.15, radius=0.3)
+    x, y = result.history["x"], result.history["y"]
+    assert result.status == "ok"
+    if b == 5.0:  # right of the lower hole once past it, and right of the middle one
+        assert 0.05 < result.qoi["lower"] < 0.2 and 0.03 < result.qoi["middle"] < 0.2
+        assert np.interp(-0.5, y, x) > -4.2 and np.interp(0.75, y, x) > -3.75
+    else:  # far left of the lower one, into the middle one from the left
+        assert result.error["lower"] < 0.02 and result.qoi["middle"] == 0.0 and "tip" in result.message
+        assert (x[-1], y[-1]) == pytest.approx((-4.212, 0.621), abs=0.05)
+
+
+def test_shear_turns_the_notch_by_the_angle_of_the_criterion():
+    for criterion in ("hoop", "symmetry"):
+        result = geofem.run("sen_shear", "xfem", criterion=criterion, n=20, da=0.03)
+        assert result.error["kink"] < 1e-4 and result.error["KI"] < 1e-3
+        assert result.qoi["chord"] == pytest.approx(66.7, abs=0.7)
+
+
+def test_cycles_of_paris_law():
+    result = geofem.run("fatigue_plate", "xfem", n=40, da=0.0025)
+    assert result.error["cycles"] < 0.015 and result.error["KI"] < 0.006
+
+
+def test_two_cracks_mirror_each_other():
+    result = geofem.run("bouchard_double_edge", "xfem", n=30, da=0.25, radius=0.6)
+    assert result.error["skew"] < 0.02 and result.error["KI"] < 0.05

@@ -66,7 +66,7 @@ def generate(scene: Scene, n: int, cell: str, grading: float) -> Cells:
 
 def upright(shape: Any) -> Any:
     """The box that a rectangular polygon is if its sides lie along the axes; any other shape as it is."""
-    if isinstance(shape, Polygon) and len(shape.points) == 4:
+    if isinstance(shape, Polygon) and len(shape.points) == 4 and not shape.holes:
         low, high = shape.bounds
         if set(shape.points) == {low, high, (low[0], high[1]), (high[0], low[1])}:
             return Box(low, high)
@@ -238,8 +238,8 @@ def refuse_crossing(name: str, shape: Polygon) -> None:
 
 
 def is_mappable(shape: Polygon) -> bool:
-    """Four corners, none of them re-entrant or nearly straight: the bilinear map is one-to-one and well conditioned."""
-    return len(shape.points) == 4 and bool(np.all(corners_of(shape)[2] > 0.05))
+    """Four corners and no hole, none re-entrant or nearly straight: the bilinear map is one-to-one and well conditioned."""
+    return len(shape.points) == 4 and not shape.holes and bool(np.all(corners_of(shape)[2] > 0.05))
 
 
 def mapped(shape: Polygon, n: int, h: float, cell: str, singular: Sequence[Point], grading: float) -> Cells:
@@ -360,7 +360,8 @@ def plane_surface(occ: Any, shape: Any) -> int:
         shape = Polygon(((x, y), (a, y), (a, b), (x, b)))
     corners = [occ.addPoint(*p, 0.0) for p in shape.points]
     sides = [occ.addLine(a, b) for a, b in zip(corners, corners[1:] + corners[:1])]
-    return occ.addPlaneSurface([occ.addCurveLoop(sides)])
+    rims = [occ.addCurveLoop([occ.addCircle(*hole.centre, 0.0, hole.radius)]) for hole in shape.holes]
+    return occ.addPlaneSurface([occ.addCurveLoop(sides), *rims])
 
 
 def set_size(gmsh: Any, length: float, h: float, singular: Sequence[Point], grading: float) -> None:

@@ -36,8 +36,8 @@ class Xfem:
             return "xfem solves bodies at rest under loads that they carry"
         if scene.strain != "small" or {region.material.law for region in scene.regions} != {"linear_elastic"}:
             return "xfem is for small strains of linear_elastic bodies"
-        if any(crack.friction is not None or crack.cohesion for crack in scene.cracks):
-            return "xfem does not know contact or cohesion of the faces of cracks yet"
+        if scene.growth and any(crack.friction or crack.cohesion for crack in scene.cracks):
+            return "xfem lets cracks grow whose faces are free or touch without friction: those with a memory do not grow yet"
         if scene.walls or scene.rigids:
             return "xfem has no contact with walls or rigid bodies; use a material point method"
         return None
@@ -72,6 +72,8 @@ class Xfem:
         """
         if enrichment not in TIPS:
             raise Mistake(f"knob enrichment = {enrichment!r}: choose from {', '.join(TIPS)}")
+        if TIPS[enrichment] is not None and any(crack.cohesion for crack in scene.cracks):
+            raise Mistake(f"knob enrichment = {enrichment!r}: a crack with cohesion has no singular tip; choose heaviside")
         for name, value in (("n", n), ("steps", steps)):
             if not isinstance(value, int) or value < 1:
                 raise Mistake(f"knob {name} = {value}: give a whole number, at least 1")

@@ -13,6 +13,7 @@ from geofem.core.conditions import Loads
 from geofem.core.neartip import point_force
 from geofem.cost import phase
 from geofem.methods.xfem.basis import World, blocks, fields_at
+from geofem.methods.xfem.contact import Contact
 from geofem.methods.xfem.enrichment import JUMP, CellEntries, Enrichment, TipChoice, entries_of
 from geofem.methods.xfem.faces import faces_of, pieces
 from geofem.methods.xfem.fields import modes_at
@@ -82,15 +83,30 @@ class Cracked:
             self.enriched_loads = EnrichedLoads(
                 scene, self.grid, intact.body, self.world, self.rule, acting, len(self.numbering.to_global)
             )
-        self.system = System(self.numbering, intact.standard, enriched, self.supports.dofs, intact.space)
+            self.contact = self._contact()
+        springs = self.contact.springs() if self.contact else None
+        self.system = System(self.numbering, intact.standard, enriched, self.supports.dofs, intact.space, springs)
+        if self.contact:
+            with phase("contact"):
+                self.contact.prepare(self.system, len(self.supports.dofs))
         self.x = np.zeros(len(self.numbering.to_global))
         self.internal, self.external = np.zeros(self.numbering.owned), np.zeros(self.numbering.owned)
-        self.imbalance = 0.0
+        self.imbalance, self._strain_energy, self._size = 0.0, 0.0, 0.0
         self.t, self.traction = 0.0, np.zeros((len(self.faces.crack), 2))
 
     def destroy(self) -> None:
         """Free the matrices and communicators. Collective."""
         self.system.destroy()
+
+    def _contact(self) -> Contact | None:
+        """The tractions between faces that feel each other, if there are any in the body. Collective."""
+        cracks = {c: crack for c, crack in enumerate(self.scene.cracks) if crack.friction is not None or crack.cohesion}
+        here = float(np.isin(self.faces.crack, list(cracks)).any())
+        if not self._largest(np.array([here])):
+            return None
+        # E' = 8 mu / (kappa + 1)
+        modulus = 8.0 * self._largest(self.mu) / (float(self.intact.kappas.min()) + 1.0)
+        return Contact(self.faces, cracks, self.grid.size, modulus, self.numbering, self.comm)
 
     def acting(self, cells: Array) -> CellEntries:
         """The entries that act in the given cells."""
@@ -149,24 +165,37 @@ class Cracked:
         """Balance the loads and supports of time t. Raises ``Breakdown`` if the matrix is singular. Collective.
 
         x : local dofs. internal, external : forces at owned dofs; external ones are loads, and reactions where the
-        displacement is prescribed. imbalance : their difference, relative. traction : on the + faces (n, 2), Pa.
+        displacement is prescribed. imbalance : their difference relative to the
+        largest so far. traction : on the + faces (n, 2), Pa. Raises also
+        where the faces of cracks find no balance.
         """
         self.__dict__.pop("factors", None)
         force = self.force(t)
         self.t, self.traction = t, self.pressure(t)
         with phase("supports"):
             values = self.supports.values(t)
-        self.x = self.system.solve(force, values)
-        self.internal = self.system.internal_force(self.x)
+        owned = self.numbering.local_owned
+        if self.contact:
+            with phase("contact"):
+                self.x = self.contact.solve(self.system, force, values)
+                held = self.contact.force(self.contact.traction)
+                elastic = self.system.internal_force(self.x) - self.contact.spring_force(self.x[owned])
+            self.traction -= self.contact.at_points()
+            self.internal = elastic + held
+        else:
+            self.x = self.system.solve(force, values)
+            self.internal = elastic = self.system.internal_force(self.x)
+        self._strain_energy = 0.5 * self.system.dot(elastic, self.x[owned])
         self.external = force
         self.external[self.system.held_places] = self.internal[self.system.held_places]
         left = self.internal - self.external
-        size = np.sqrt(self.system.dot(self.internal, self.internal)) or 1.0
-        self.imbalance = float(np.sqrt(self.system.dot(left, left)) / size)
+        # a body that has come apart bears nothing any more
+        self._size = max(self._size, float(np.sqrt(self.system.dot(self.internal, self.internal))))
+        self.imbalance = float(np.sqrt(self.system.dot(left, left))) / (self._size or 1.0)
 
     def strain_energy(self) -> float:
-        """Strain energy (J). Collective."""
-        return 0.5 * self.system.dot(self.internal, self.x[self.numbering.local_owned])
+        """Strain energy (J)."""
+        return self._strain_energy
 
     @cached_property
     def factors(self) -> tuple[Array, Array]:
@@ -199,6 +228,16 @@ class Cracked:
     def opening(self, x: Array) -> float:
         """The opening (m) of the crack at the point of its rule nearest to a point (2,). Collective."""
         return self._nearest(x, self.faces.jumps(self.x)[:, 0])
+
+    def overlap(self) -> float:
+        """The largest overlap of faces as a part of the length of their crack within the body. Collective."""
+        faces, worst = self.faces, 0.0
+        opening = faces.jumps(self.x)[:, 0]
+        for c in range(len(self.lines.start) - 1):
+            here = faces.crack == c
+            length = self.comm.allreduce(float(faces.rule.w[here].sum()), op=MPI.SUM)
+            worst = max(worst, self._largest(-opening[here]) / (length or 1.0))
+        return worst
 
     def _nearest(self, x: Array, values: Array) -> float:
         """Of values (n,) at the points of the faces of all ranks, the one nearest to x (2,); 0 without any. Collective."""

@@ -180,14 +180,16 @@ class XfemModel:
         return dict(self._energy)
 
     def checks(self) -> dict[str, float | None]:
-        """The largest force out of balance, relative, and how far K differs between two rings: ``path``, the worst of all tips."""
+        """The largest force out of balance, relative; how far K differs between two rings: ``path``, the worst of all tips; and
+        how far faces overlap as a part of their crack's length: ``overlap``."""
         body, path = self.cracked, None
+        overlap = body.overlap() if len(body.lines.start) > 1 else None
         if len(body.tips.at):
             tips = range(len(body.tips.at))
             outer = [body.intensity(tip) for tip in tips]
             inner = [body.intensity(t, max(INNER * body.ring_radius(t), INNER_CELLS * body.cell[t])) for t in tips]
             path = max(float(np.hypot(*(a - b)) / (np.hypot(*a) or 1.0)) for a, b in zip(outer, inner))
-        return {"mass": None, "momentum": self._imbalance, "volume": None, "path": path}
+        return {"mass": None, "momentum": self._imbalance, "volume": None, "path": path, "overlap": overlap}
 
     def size(self) -> dict[str, int]:
         cells = self.comm.allreduce(len(self.intact.grid.T), op=MPI.SUM)
@@ -209,14 +211,18 @@ class XfemModel:
         return fem.Function(self.intact.space, name="displacement")
 
     def state(self) -> dict[str, np.ndarray]:
-        """The time, the work done and the cracks: a linear body without memory is solved anew when a run is resumed."""
+        """The time, the work done, the cracks and what their faces remember: the body is solved anew when a run is resumed."""
         lines = self.cracked.lines
         numbers = [self.t, self._energy["external"], self._imbalance, self.work["steps"], self.propagation.cycles]
-        return {"numbers": np.array(numbers), "points": lines.points, "start": lines.start}
+        contact = self.cracked.contact
+        faces = contact.state() if contact else np.empty((0, 4))
+        return {"numbers": np.array(numbers), "points": lines.points, "start": lines.start, "faces": faces}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
         self.t, external, self._imbalance, steps, self.propagation.cycles = state["numbers"].tolist()
         self.cracked.destroy()
         self.cracked = self._with(Lines(state["points"], state["start"]))
+        if self.cracked.contact:
+            self.cracked.contact.restore(state["faces"])
         self._balance(self.t)
         self._energy["external"], self.work["steps"] = external, int(steps)

@@ -80,10 +80,13 @@ class StandardBlock:
 class System:
     """One stiffness matrix K, solved for prescribed dofs and forces again and again.
 
+    Factorised afresh where cracks grow: to correct the factors of the standard block costs more (benchmarks/xfem_growth.py).
+
     Parameters
     ----------
     blocks : rows, columns (local dofs) and values of the enriched blocks of this rank's cells.
     held : (k,) local dofs, owned ones, that are prescribed.
+    springs : further rows, columns (global dofs) and values, in rows of this rank.
     """
 
     def __init__(
@@ -93,10 +96,11 @@ class System:
         blocks: tuple[Array, Array, Array],
         held: Array,
         space: fem.FunctionSpace,
+        springs: tuple[Array, Array, Array] | None = None,
     ):
         self.numbering, self.comm = numbering, space.mesh.comm
         with phase("assembly"):
-            self.K = self._assemble(standard, blocks)
+            self.K = self._assemble(standard, blocks, springs)
             x, self._b = self.K.createVecs()
             size = len(numbering.to_global)
             places = PETSc.IS().createGeneral(numbering.to_global.astype(PETSc.IntType), comm=PETSc.COMM_SELF)
@@ -115,11 +119,13 @@ class System:
         for of in (self.K, self.mat, self._x, self._b, self._scale, self._local, self._fetch):
             of.destroy()
 
-    def _assemble(self, standard: StandardBlock, blocks: tuple[Array, Array, Array]) -> PETSc.Mat:
-        rows, columns, values = standard.triplets(self.numbering)
-        extra_rows, extra_columns = (self.numbering.to_global[part] for part in blocks[:2])
-        index = [np.concatenate(pair).astype(PETSc.IntType) for pair in ((rows, extra_rows), (columns, extra_columns))]
-        values = np.concatenate([values, blocks[2]])
+    def _assemble(
+        self, standard: StandardBlock, blocks: tuple[Array, Array, Array], springs: tuple[Array, Array, Array] | None
+    ) -> PETSc.Mat:
+        to_global = self.numbering.to_global
+        parts = [standard.triplets(self.numbering), (to_global[blocks[0]], to_global[blocks[1]], blocks[2])]
+        rows, columns, values = (np.concatenate(part) for part in zip(*parts, *([springs] if springs else [])))
+        index = rows.astype(PETSc.IntType), columns.astype(PETSc.IntType)
         if self.comm.size == 1:
             # half the time of PETSc's own sum
             whole = coo_matrix((values, index), shape=(self.numbering.total,) * 2).tocsr()
