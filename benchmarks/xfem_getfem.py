@@ -44,7 +44,7 @@ DEMO = {
 }
 CONTENDERS: dict[str, dict[str, Any]] = {
     "geofem, radius .2": {"of": "geofem", "radius": 0.2, "sizes": [TARGET]},
-    "geofem, radius .34": {"of": "geofem", "radius": 0.34, "sizes": [48, 52, 56, 60]},
+    "geofem, radius .34": {"of": "geofem", "radius": 0.34, "sizes": [60, 62, 64]},
     "GetFEM linear, radius .2": {"of": "getfem", "order": 1, "radius": 0.2, "rules": LEAN, "sizes": [74, 76, 78, 80]},
     "GetFEM linear, radius .34": {"of": "getfem", "order": 1, "radius": 0.34, "rules": LEAN, "sizes": [48, 52, 56, 60]},
     "GetFEM linear, demo": {"of": "getfem", "order": 1, "radius": 0.2, "rules": DEMO, "sizes": [78, 80]},
