@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geofem.core.propagation import Step
     from geofem.growing import grow, vary
     from geofem.mistake import Breakdown, Mistake
     from geofem.result import Result
@@ -55,13 +56,14 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(_caches / "geofem" / f"numba-{_stam
 
 __all__ = [
     "Box", "Breakdown", "Crack", "Disc", "Growth", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe",
-    "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Support", "Wall", "compare", "grow", "run",
+    "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Step", "Support", "Wall", "compare", "grow", "run",
     "vary",
 ]  # fmt: skip
 
 _HOMES = {
     "run": "geofem.runner",
     "compare": "geofem.study.sweep",
+    "Step": "geofem.core.propagation",
     "grow": "geofem.growing",
     "vary": "geofem.growing",
     "Result": "geofem.result",

@@ -15,6 +15,8 @@ from geofem import methods, scenes
 from geofem.core import growth
 from geofem.core.propagation import reached
 from geofem.mistake import Mistake
+from geofem.result import Result
+from geofem.runner import Run
 from geofem.scene import Crack, Disc, Growth, Load, Polygon, Scene, Support
 
 
@@ -178,6 +180,32 @@ def test_a_growing_run_goes_on_from_its_state():
     assert second.energy() == pytest.approx(first.energy(), rel=1e-10)
 
 
+def test_two_tips_that_meet_another_crack_stop_there():
+    """A crack that grows into one across its way; that one goes on, and its other end too."""
+    scene = scenes.get("inclined_crack")(beta=0.0)
+    scene = replace(scene, cracks=(*scene.cracks, Crack(((2.0, -1.0), (2.05, 1.2)))), growth=Growth(1.0, threshold=1.0))
+    *_, last = geofem.grow(scene, n=40, da=0.4)
+    met = last.path[0][-1]
+    assert 1.9 < met[0] < 2.1 and len(last.tips) < 4
+    a, b = np.array([2.0, -1.0]), np.array([2.05, 1.2])
+    assert abs(np.linalg.det([b - a, met - a])) < 1e-9
+
+
+def test_a_run_that_was_stopped_goes_on(tmp_path):
+    scene = growing("edge_crack", Growth(0.1, paris=(1e-3, 3.0)), a=0.3)
+    whole = geofem.run(scene, "xfem", n=20, da=0.025)
+    model = methods.get("xfem").build(scene, n=20, da=0.025)
+    run = Run(scene, model, Result("edge_crack", "xfem", knobs={**scene.knobs, "n": 20, "da": 0.025}), tmp_path, False, 0)
+    run.sample()
+    for _ in range(2):
+        model.step(0.025)
+        run.sample()
+    run.checkpoint()
+    rest = geofem.run(scene, "xfem", n=20, da=0.025, out=tmp_path, resume=True)
+    for name in whole.history:
+        np.testing.assert_allclose(rest.history[name], whole.history[name], rtol=1e-9, atol=1e-12)
+
+
 def test_what_cannot_grow_is_said():
     for law in (
         {"length": 0.0}, {"length": 1.0, "criterion": "any"}, {"length": 1.0, "toughness": 1.0, "paris": (1.0, 3.0)},
@@ -185,6 +213,12 @@ def test_what_cannot_grow_is_said():
     ):  # fmt: skip
         with pytest.raises(Mistake, match="Growth"):
             Growth(**law)
+    with pytest.raises(Mistake, match="no crack"):
+        growing("cook", Growth(1.0))
+    born = growing("cook", Growth(1.0, strength=1.0, germ=1.0))
+    assert "new cracks" in methods.get("fem").refuses(born)
+    plain = replace(born, plane="plane_strain", loads=())
+    assert "no cracks" in methods.get("mpm-gimp").refuses(plain)
     with pytest.raises(Mistake, match="until"):
         next(geofem.grow("edge_crack"))
     with pytest.raises(Mistake, match="mpm-linear"):

@@ -28,7 +28,7 @@ class Fem:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
         if scene.walls or scene.rigids:
             return "fem has no contact with walls or rigid bodies; use a material point method"
-        if scene.cracks:
+        if scene.cracks or scene.growth:
             return conforming.refuses(scene)
         laws = {region.material.law for region in scene.regions}
         if scene.plane == "plane_stress" and laws != {"linear_elastic"}:

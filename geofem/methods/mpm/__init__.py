@@ -43,7 +43,7 @@ class Mpm:
             return f"{self.name} takes no boundary traction yet"
         if any(isinstance(support.where, str) for support in scene.supports):
             return f"{self.name} needs supports as predicates of position, not as groups of a mesh file"
-        if scene.cracks:
+        if scene.cracks or scene.growth:
             return f"{self.name} has no cracks"
         if scene.collapse:
             return f"{self.name} does not search for a collapse load"
