@@ -55,6 +55,8 @@ Q1 = {"order": 1, "cell": "quadrilateral", "quadrature": "full"}
 Q2 = {"order": 2, "cell": "quadrilateral", "quadrature": "full"}
 Q2_REDUCED = {"order": 2, "cell": "quadrilateral", "quadrature": "reduced"}
 CONTIGUOUS = {"kernel": "contiguous"}
+QUARTER, NO_QUARTER = {"order": 2, "quarter_point": True}, {"order": 2, "quarter_point": False}
+UNIFORM = {"grading": 1.0}
 MIXED = {"order": 2, "cell": "triangle", "formulation": "mixed"}
 
 
@@ -80,6 +82,22 @@ def kernels(scene: str, values: Sequence[int], **scene_knobs: Any) -> list[Ladde
         points(scene, "mpm-cpdi", values, **scene_knobs),
         points(scene, "mpm-cpdi2", values, **scene_knobs),
         points(scene, "mpm-bspline", values, **scene_knobs),
+    ]
+
+
+def xfem(scene: str, enrichment: str, values: Sequence[int], **scene_knobs: Any) -> Ladder:
+    knobs = {"enrichment": enrichment}
+    return Ladder(scene, "xfem", f"XFEM {enrichment}", values, scene_knobs=scene_knobs, method_knobs=knobs)
+
+
+def cracked(scene: str, **scene_knobs: Any) -> list[Ladder]:
+    """A mesh that follows the crack, with and without quarter-point cells, beside one that does not, with the field of tips."""
+    return [
+        fem(scene, "quarter points", QUARTER, (4, 8, 16, 32), **scene_knobs),
+        fem(scene, "uniform, quarter points", UNIFORM | QUARTER, (8, 16, 32), **scene_knobs),
+        fem(scene, "uniform", UNIFORM | NO_QUARTER, (8, 16, 32), **scene_knobs),
+        xfem(scene, "modes", (10, 20, 40, 80), **scene_knobs),
+        xfem(scene, "heaviside", (10, 20, 40, 80), **scene_knobs),
     ]
 
 
@@ -156,6 +174,16 @@ LADDERS: dict[str, list[Ladder]] = {
         points("slope_runout", "mpm-cpdi", (6, 8, 12), {"cure": "cell", "split": 1.0}),
         points("slope_runout", "mpm-bspline", (6, 8, 12), {"cure": "cell"}),
     ],
+    "williams": [
+        fem("williams", "quarter points", QUARTER, (4, 8, 16, 32)),
+        fem("williams", "without them", NO_QUARTER, (4, 8, 16, 32)),
+        xfem("williams", "modes", (10, 20, 40, 80)),
+        xfem("williams", "topological", (10, 20, 40, 80)),
+        xfem("williams", "heaviside", (10, 20, 40, 80)),
+    ],
+    "edge_crack": cracked("edge_crack", a=0.5),
+    "shear_edge_crack": cracked("shear_edge_crack"),
+    "inclined_crack": cracked("inclined_crack", beta=30.0),
 }
 """The ladders of each scene."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
+from scipy.sparse import coo_matrix
 
 from geofem.core.solvers import LinearSolver
 from geofem.cost import phase
@@ -124,10 +125,15 @@ class System:
         to_global = self.numbering.to_global
         parts = [standard.triplets(self.numbering), (to_global[blocks[0]], to_global[blocks[1]], blocks[2])]
         rows, columns, values = (np.concatenate(part) for part in zip(*parts, *([springs] if springs else [])))
+        index = rows.astype(PETSc.IntType), columns.astype(PETSc.IntType)
+        if self.comm.size == 1:
+            # half the time of PETSc's own sum
+            whole = coo_matrix((values, index), shape=(self.numbering.total,) * 2).tocsr()
+            return PETSc.Mat().createAIJ(whole.shape, csr=(whole.indptr, whole.indices, whole.data), comm=self.comm)
         mat = PETSc.Mat().create(self.comm)
         mat.setSizes([[self.numbering.owned, self.numbering.total]] * 2)
         mat.setType("aij")
-        mat.setPreallocationCOO(rows.astype(PETSc.IntType), columns.astype(PETSc.IntType))
+        mat.setPreallocationCOO(*index)
         mat.setValuesCOO(values, PETSc.InsertMode.ADD_VALUES)
         return mat
 
