@@ -70,7 +70,7 @@ def scene(*, slope: float = 75.0, toughness: float = 5e5, contact: bool = True) 
 
     def known(name: str) -> Reference | None:
         key = f"slope{slope:g}_{name}" + (f"_{toughness:g}" if name == "critical" else "")
-        return reference("tension_crack_slope", key) if contact and key in table("tension_crack_slope") else None
+        return reference("c10_tension_crack_slope", key) if contact and key in table("c10_tension_crack_slope") else None
 
     return Scene(
         name="tension_crack_slope",
