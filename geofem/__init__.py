@@ -3,6 +3,8 @@
 >>> import geofem
 >>> result = geofem.run("cook", method="fem", n=16)  # doctest: +SKIP
 >>> result.error["uy"]  # doctest: +SKIP
+>>> for step in geofem.grow("three_holes", n=60, da=0.1):  # doctest: +SKIP
+...     print(step.advance, step.K, step.path)
 
 Importing the package loads neither dolfinx nor numba: a public name is fetched when it is first used.
 """

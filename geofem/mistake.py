@@ -17,7 +17,7 @@ class Breakdown(Exception):
 
     Parameters
     ----------
-    cause : one of ``CAUSES``.
+    cause : one of ``CAUSES``; after an ``arrest`` of all cracks, the result is ok.
     message : what happened and where, in one line.
     """
 

@@ -15,7 +15,7 @@ from test_study import fail, ladder
 
 from geofem.mistake import Mistake
 from geofem.result import Result
-from geofem.study import pictures, report, rows
+from geofem.study import paint, pictures, report, rows
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-sync",
@@ -189,3 +189,17 @@ def test_pictures_of_a_dimensionless_scene_bear_no_unit() -> None:
         True,
         True,
     ]
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.3, 70.0])
+def test_small_strain_is_drawn_as_large_as_shows_it(size):
+    """A square whose right half moves by ``size``: drawn about a twelfth of its side, by a factor of one digit."""
+    still = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    u = np.array([[0.0, 0.0], [size, 0.0], [size, 0.0], [0.0, 0.0]])
+    moved = still + np.pad(u, ((0, 0), (0, 1)))
+    snapshot = {"points": moved, "cells": np.array([[0, 1, 2, 3]]), "cell": "quad", "displacement": u}
+    times = paint.magnification(snapshot)
+    drawn = paint.magnified(snapshot, times)
+    assert f"{times:.0e}"[0] in "125" and times == pytest.approx(float(f"{times:.0e}"))
+    assert 1 / 30 < np.ptp(drawn["points"][:, 0]) - 1.0 <= 1 / 12
+    assert drawn["displacement"] is u and snapshot["points"] is moved and paint.magnified(snapshot, 1.0) is snapshot

@@ -131,6 +131,25 @@ def test_the_opening_error_falls_like_the_square_of_the_cell_size():
     assert np.log2(first / second) > 1.8
 
 
+def test_K_of_a_shallow_crack_full_of_water():
+    """F = .6825 for an edge crack in a half plane under a pressure that grows linearly (Tada, Paris and Irwin 1973); measured .6739."""
+    scene = block(((0.5, 1.0), (0.5, 0.975)), pressure=lambda x, t: t * (1.0 - x[1]) / 0.025)
+    model = methods.get("xfem").build(replace(scene, singular=((0.5, 0.975),)), n=32)
+    model.step(1.0)
+    K = model.cracked.intensity(0)
+    assert K[0] == pytest.approx(0.6825 * np.sqrt(np.pi * 0.025), rel=0.02) and abs(K[1]) < 0.01 * K[0]
+
+
+def test_a_tension_crack_opens_when_water_has_risen():
+    """With contact K_I is zero up to half the depth; without, faces overlap and the critical level comes out higher."""
+    found = [geofem.run("tension_crack_slope", "xfem", n=16, steps=8, contact=contact) for contact in (True, False)]
+    touching, overlapping = (run.history for run in found)
+    assert np.abs(touching["KI"][1:5]).max() < 2e4 < -overlapping["KI"][1:5].max()
+    assert overlapping["opening"][1] < -4e-3 and np.abs(touching["opening"][1:5]).max() < 1e-4
+    assert found[0].qoi["critical"] < found[1].qoi["critical"] - 1.0
+    assert found[0].checks["path"] < 0.01
+
+
 # --- pressure on the boundary -----------------------------------------------------------------------------------------
 def test_a_pressure_is_a_traction_against_the_normal():
     scene = scenes.get("edge_crack")()

@@ -14,7 +14,7 @@ from geofem.scene import Probe, Scene
 
 
 class Model(Protocol):
-    """A scene made solvable by one method."""
+    """A scene made solvable by one method. One whose cracks can grow has a ``propagation``, see ``geofem.core.propagation``."""
 
     t: float
     work: dict[str, int]

@@ -54,7 +54,8 @@ class Look:
     """field : what the colours show. span : their limits. extend : on which sides values go beyond them.
 
     box : (2, gdim), the part of the plane or of space that is shown (m). side : width of the dots of points that tell no size (m).
-    si : whether units are written. clock : unit of t: ``s``, ``load factor`` or empty. bodies : their names, for ``region``.
+    si : whether units are written. clock : unit of t: ``s``, ``load factor``, ``advance`` of cracks or empty.
+    bodies : their names, for ``region``.
     shape : width against height of the pictures that PyVista made.
     """
 
@@ -143,7 +144,7 @@ def survey(frames: Frames, shown: Sequence[int], field: str, scene: Scene | None
     extend = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}[beyond]
     if field == "region":
         extend = "neither"
-    clock = "" if scene is None else "s" if scene.dynamic else "load factor"
+    clock = "" if scene is None else "s" if scene.dynamic else "advance" if scene.growth else "load factor"
     names = tuple(region.name for region in scene.regions) if scene else ()
     return Look(field, span, extend, paint.room(np.array(boxes), rigid), side, si, clock if si or clock != "s" else "", names)
 
@@ -157,7 +158,7 @@ def stamps(t: Array, clock: str) -> list[str]:
     step = float(np.median(np.diff(t))) * factor if len(t) > 1 else 1.0
     digits = int(np.clip(math.ceil(-math.log10(0.2 * step)), 0, 6)) if step > 0 else 3
     unit = f" {prefix}{clock}" if clock == "s" else ""
-    name = "load factor" if clock == "load factor" else "t"
+    name = "t" if clock in ("", "s") else clock
     texts = [f"{x * factor:.{digits}f}" for x in t]
     width = max(map(len, texts))
     return [f"{name} = {text.rjust(width, chr(0x2007))}{unit}" for text in texts]  # a space as wide as a digit
@@ -338,9 +339,11 @@ def make(folder: Path, field: str | None = None, scene: Scene | None = None, *, 
     try:
         if field is not None and field not in FIELDS:
             raise unknown("field", field, FIELDS)
-        frames = Frames(folder)
+        frames = Frames(folder, scene is not None and scene.strain == "small")
         if len(frames) < 2:
             raise Mistake(f"{folder}: holds no frames to make a film of; run again with --frames 50")
+        if frames.times != 1.0:
+            heading = f"{heading} · {pictures.enlarged(frames.times)}".removeprefix(" · ")
         there = available(frames[len(frames) - 1])
         if field is not None and field not in there:
             raise Mistake(f"{folder}: its frames do not hold {field!r}; choose from {', '.join(there)}")

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import meshio
 import numpy as np
 
 from geofem.mistake import Mistake
+from geofem.study import paint
+from geofem.study.fields import Snapshot
 
 
 class Frames:
     """Snapshots of a run by number, from the first to the last; ``t`` (n,) are their times. Each is read when it is asked for.
 
-    Vectors have three components, also in the plane. Raises ``Mistake`` if the index, or later a frame, cannot be read; a folder
+    Vectors have three components, also in the plane. small : the strain is, and all frames have their displacements multiplied by
+    ``times``, so that those of the last one show. Raises ``Mistake`` if the index, or later a frame, cannot be read; a folder
     without an index has no frames.
     """
 
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, small: bool = False):
         path = folder / "fields.pvd"
         listed: dict[float, Path] = {}
         if path.exists():
@@ -30,11 +32,14 @@ class Frames:
                 raise Mistake(f"{path}: not an index of frames ({error}); run again with --frames") from None
         self.t = np.array(sorted(listed))
         self.files = [listed[t] for t in self.t]
+        self.times = 1.0
+        if small and self.files and "displacement" in (last := self[-1]):
+            self.times = paint.magnification(last)
 
     def __len__(self) -> int:
         return len(self.files)
 
-    def __getitem__(self, i: int) -> dict[str, Any]:
+    def __getitem__(self, i: int) -> Snapshot:
         """The snapshot of frame i: ``points``, ``cells``, ``cell`` and fields by points or cells."""
         path = self.files[i]
         try:
@@ -48,4 +53,4 @@ class Frames:
                     out["rigid"] = arrays["rigid"]
         except (meshio.ReadError, ElementTree.ParseError, OSError, ValueError, KeyError) as error:
             raise Mistake(f"{path}: not a frame that can be read ({error}); run again with --frames") from None
-        return out
+        return paint.magnified(out, self.times)

@@ -47,6 +47,31 @@ def domains(snapshot: Snapshot) -> Array | None:
     return None
 
 
+def magnification(snapshot: Snapshot) -> float:
+    """By what to multiply the displacements of a small-strain body, so that they show and do not hide the body: 1, 2 or 5 times a
+    power of ten, with which the largest is about a twelfth of the body's length. 1 for material points and for bodies in space.
+    """
+    if str(snapshot["cell"]) == "vertex" or is_solid(snapshot):
+        return 1.0
+    u = np.asarray(snapshot["displacement"])[:, :2]
+    largest = float(np.hypot(*u.T).max(initial=0.0))
+    length = float(np.ptp(np.asarray(snapshot["points"])[:, :2] - u, axis=0).max())
+    if not 0.0 < largest < np.inf:
+        return 1.0
+    wish = length / 12.0 / largest
+    power = 10.0 ** np.floor(np.log10(wish))
+    return float(power * max(step for step in (1.0, 2.0, 5.0) if step * power <= wish))
+
+
+def magnified(snapshot: Snapshot, times: float) -> Snapshot:
+    """The snapshot with its displacements, not its fields, multiplied."""
+    if times == 1.0:
+        return snapshot
+    points, u = np.array(snapshot["points"], float), np.asarray(snapshot["displacement"])
+    points[:, : u.shape[1]] += (times - 1.0) * u
+    return {**snapshot, "points": points}
+
+
 def polygons(snapshot: Snapshot) -> list[Array]:
     """The ``rigid`` polygons, each (k, 2)."""
     rows = np.asarray(snapshot.get("rigid", np.empty((0, 2))), float)

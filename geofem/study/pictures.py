@@ -78,6 +78,11 @@ def paint_solid(axes: Any, snapshot: Snapshot, values: Array, look: dict[str, An
     return [axes.add_collection3d(Poly3DCollection(points[faces], array=shown, edgecolor="#00000055", linewidth=0.4, **look))]
 
 
+def enlarged(times: float) -> str:
+    """What a picture says of its displacements."""
+    return f"displacements drawn {times:g} times"
+
+
 def set_up(axes: Any, box: Array, si: bool) -> None:
     """Fix what part of the plane, or of space, the axes show, box : (2, gdim), and label them."""
     for axis, low, high in zip("xyz", *box):
@@ -88,9 +93,10 @@ def set_up(axes: Any, box: Array, si: bool) -> None:
         axes.locator_params(nbins=4)
 
 
-def by_matplotlib(snapshot: Snapshot, path: Path, field: str, si: bool) -> None:
-    """Draw the body with Matplotlib into a PNG file."""
+def by_matplotlib(snapshot: Snapshot, path: Path, field: str, si: bool, times: float = 1.0) -> None:
+    """Draw the body with Matplotlib into a PNG file, its displacements multiplied."""
     values = colouring(snapshot, field)
+    snapshot = paint.magnified(snapshot, times)
     solid = is_solid(snapshot)
     side = paint.spacing(snapshot) if str(snapshot["cell"]) == "vertex" else 0.0
     box = paint.room(paint.bounds(snapshot, side)[None], paint.polygons(snapshot))
@@ -100,6 +106,8 @@ def by_matplotlib(snapshot: Snapshot, path: Path, field: str, si: bool) -> None:
         figure = Figure(figsize=(2.0 + 4.6 * float(np.clip(width / height, 0.5, 1.6)), 5.2), layout="constrained")
         axes: Any = figure.add_subplot(projection="3d") if solid else figure.add_subplot()
         set_up(axes, box, si)
+        if times != 1.0:
+            axes.set_title(enlarged(times), loc="left", fontsize="medium")
         paint_solid(axes, snapshot, values, look) if solid else paint.body(axes, snapshot, values, side, look)
         extend = "both" if FIELDS[field].tail else "neither"
         bar(figure, ScalarMappable(**look), field, si, ax=axes, shrink=0.85, extend=extend)
@@ -183,16 +191,17 @@ def by_pyvista_apart(folder: Path, path: Path, field: str, si: bool = True) -> b
     return path.exists()
 
 
-def draw(folder: Path, path: Path, field: str = "displacement", si: bool = True) -> Path:
+def draw(folder: Path, path: Path, field: str = "displacement", si: bool = True, small: bool = False) -> Path:
     """Draw the deformed body of the result in ``folder``, coloured by one of its ``fields``, into the PNG file ``path``.
 
     si : units are written beside the names; False for a dimensionless scene.
+    small : the strain is, and displacements are drawn as large as shows them.
     Raises ``Mistake`` if the folder holds no result.
     """
     snapshot = Result.load(folder).snapshot
     path.parent.mkdir(parents=True, exist_ok=True)
     if not (is_solid(snapshot) and by_pyvista_apart(folder, path, field, si)):
-        by_matplotlib(snapshot, path, field, si)
+        by_matplotlib(snapshot, path, field, si, paint.magnification(snapshot) if small else 1.0)
     return path
 
 

@@ -88,6 +88,12 @@ def has_units(row: Row) -> bool:
     return scene is None or not scene.dimensionless
 
 
+def is_small(row: Row) -> bool:
+    """Whether the scene counts on small strain; False for a scene of the user's own."""
+    scene = scene_of(row)
+    return scene is not None and scene.strain == "small"
+
+
 def paragraphs(text: str) -> list[tuple[str, Markup]]:
     """A docstring as blocks: ``p`` for prose, with its leading word bold and names in code type; ``pre`` for lists."""
     blocks = []
@@ -148,7 +154,7 @@ def drawn(folder: Path, row: Row) -> list[dict[str, str]]:
     made = []
     for shown in pictures.fields(Result.load(run).snapshot):
         name = slug(f"{rows.problem(row)} {rows.label(row)} {shown}")
-        path = pictures.draw(run, folder / "pictures" / f"{name}.png", shown, has_units(row))
+        path = pictures.draw(run, folder / "pictures" / f"{name}.png", shown, has_units(row), is_small(row))
         words = f"{rows.label(row)}, {rows.step(row)}{outcome}: {pictures.title(pictures.TITLES[shown], has_units(row))}"
         made.append({"png": base64.b64encode(path.read_bytes()).decode(), "caption": words})
     return made

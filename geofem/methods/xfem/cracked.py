@@ -92,7 +92,8 @@ class Cracked:
         self.x = np.zeros(len(self.numbering.to_global))
         self.internal, self.external = np.zeros(self.numbering.owned), np.zeros(self.numbering.owned)
         self.imbalance, self._strain_energy, self._size = 0.0, 0.0, 0.0
-        self.t, self.traction = 0.0, np.zeros((len(self.faces.crack), 2))
+        self.t: float | None = None  # no solution yet
+        self.traction = np.zeros((len(self.faces.crack), 2))
 
     def destroy(self) -> None:
         """Free the matrices and communicators. Collective."""
@@ -257,7 +258,7 @@ class Cracked:
             inside[~self.traction.any(axis=1)] = 0.0
             parts.append((rule.w * inside, sign * faces.vectors(self.traction), g))
             points.append(rule.x)
-        if any(load.kind in ("gravity", "body") for load in self.scene.loads):
+        if self.t is not None and any(load.kind in ("gravity", "body") for load in self.scene.loads):
             cells = np.flatnonzero(q[grid.T].any(axis=1))
             rule, acting = self.cutter.rule(cells, degrees=FINE), self.acting(cells)
             g = fields_at(rule, acting, self.world, self.x)[1]
