@@ -44,7 +44,7 @@ class Map:
     """What is varied and what counts as failure.
 
     knob : the scene's or method's knob along the axis; ``value`` makes it of the axis' x, or a mapping of several knobs; ``axis``
-        names x with its unit.
+        names x with its unit. percent : whether the error is told in percent.
     safe, harsh : the ends of the axis, where methods are expected to work and to fail. scale : of the axis.
     threshold : relative error of ``measure`` from which a run counts as failed. quantity : what the error is called in the picture.
     reference : a variant to measure against where the scene has no reference for all x; None for the scene's own.
@@ -74,6 +74,7 @@ class Map:
     along: str = ""
     analysis: str = ""
     quantity: str = "relative error"
+    percent: bool = True
     coarse: int = 5
     bisections: int = 4
 
@@ -216,6 +217,94 @@ MAPS = {
             analysis="geofem.methods.mpm.frozen:null_share",
             coarse=7,
             bisections=4,
+        ),
+        Map(
+            name="conditioning",
+            title="Small cuts: a crack along a row of nodes, 20 x 20 cells",
+            scene="williams",
+            measure="condition",
+            quantity="condition number",
+            percent=False,
+            variants=tuple(
+                Variant(f"{label}, {words}", "xfem", {"enrichment": enrichment, "scaled": scaled})
+                for enrichment, label in (("modes", "tip modes"), ("branches", "4 branches"), ("heaviside", "jumps only"))
+                for scaled, words in ((True, "scaled"), (False, "unscaled"))
+            ),
+            knob="fraction",
+            axis="part of the cells' height that is cut off",
+            safe=0.5,
+            harsh=1e-8,
+            threshold=1e7,
+            analysis="geofem.methods.xfem.failures:conditioning",
+            coarse=7,
+            bisections=2,
+        ),
+        Map(
+            name="ramp",
+            title="Exact field of a crack tip, enriched within a fifth of the side",
+            scene="williams",
+            measure="energy",
+            quantity="relative error in the energy norm",
+            variants=(
+                Variant("tip modes, ramp", "xfem", {"enrichment": "modes"}),
+                Variant("tip modes, no ramp", "xfem", {"enrichment": "modes", "ramp": False}),
+                Variant("4 branches, ramp", "xfem", {"enrichment": "corrected"}),
+                Variant("4 branches, no ramp", "xfem", {"enrichment": "branches", "ramp": False}),
+                Variant("4 branches in the tip's cell", "xfem", {"enrichment": "topological", "ramp": False}),
+                Variant("jumps only", "xfem", {"enrichment": "heaviside"}),
+            ),
+            knob="n",
+            axis="cells along the side",
+            value=round,
+            safe=96,
+            harsh=8,
+            threshold=0.05,
+            analysis="geofem.methods.xfem.failures:ramp",
+            coarse=6,
+            bisections=0,
+        ),
+        Map(
+            name="disc",
+            title="Too wide a disc of tip functions: exact field of a tip, 40 x 40 cells",
+            scene="williams",
+            measure="condition",
+            quantity="condition number",
+            percent=False,
+            variants=(
+                Variant("tip modes", "xfem", {"enrichment": "modes"}),
+                Variant("4 branches", "xfem", {"enrichment": "branches"}),
+                Variant("4 branches, ramp", "xfem", {"enrichment": "corrected"}),
+            ),
+            knob="radius",
+            axis="radius over the side of the square",
+            scale=LINEAR,
+            scene_knobs={"n": 40},
+            safe=0.0625,
+            harsh=0.35,
+            threshold=1e7,
+            analysis="geofem.methods.xfem.failures:disc",
+            coarse=6,
+            bisections=2,
+        ),
+        Map(
+            name="misplaced_tip",
+            title="A crack told to end off its tip: exact field of a tip, 20 x 20 cells",
+            scene="williams",
+            measure="K",
+            quantity="error of the intensity factors",
+            variants=tuple(
+                Variant(f"{label}, {words}", "xfem", {"enrichment": enrichment, "way": way})
+                for enrichment, label in (("modes", "tip modes"), ("topological", "4 branches in the tip's cell"))
+                for way, words in ((0.0, "ahead"), (180.0, "behind"), (90.0, "aside"))
+            ),
+            knob="cells",
+            axis="distance to the true tip in cells",
+            safe=0.01,
+            harsh=2.0,
+            threshold=0.05,
+            analysis="geofem.methods.xfem.failures:misplaced",
+            coarse=7,
+            bisections=2,
         ),
     )
 }

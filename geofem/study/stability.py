@@ -164,10 +164,16 @@ def percent(error: float, _: int = 0) -> str:
     return f"{float(f'{100 * error:.2g}'):g} %"
 
 
+def number(error: float, _: int = 0) -> str:
+    digits, power = f"{error:.1e}".split("e")
+    return f"{float(digits):g}e{int(power)}" if error >= 1e4 else f"{float(f'{error:.2g}'):g}"
+
+
 def draw(this: Map, lines: Sequence[Line]) -> Figure:
     """The map: colour is the error on a logarithmic scale, a bar the boundary, hatched what died, with the cause."""
     errors = [max(point.error, SMALLEST) for line in lines for point in line.points if point.error]
     errors += [this.threshold / 3, this.threshold * 3]  # the colours span the threshold, whatever was found
+    told = percent if this.percent else number
     norm, colours = LogNorm(min(errors), max(errors)), matplotlib.colormaps["cividis"]
     with matplotlib.rc_context(chart.STYLE | {"hatch.color": "#b5b5b5"}):
         figure = Figure(figsize=(14, 2.6 + 0.85 * len(lines)), layout="constrained")
@@ -182,7 +188,7 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
                 axes.add_patch(Rectangle((min(a, b), i - 0.4), abs(b - a), 0.8, linewidth=0, **look))
                 if abs(this.scale.way(a, b) / whole) < 0.065:
                     continue  # too narrow for words
-                words = f"× {shortened(point.cause)}" if point.error is None else percent(point.error)
+                words = f"× {shortened(point.cause)}" if point.error is None else told(point.error)
                 colour = "white" if level is not None and level < 0.55 else "black"
                 paper = {"facecolor": "#ececec", "edgecolor": "none", "pad": 2} if level is None else None
                 axes.text(this.scale.middle(a, b), i, words, ha="center", va="center", color=colour, fontsize=14, bbox=paper)
@@ -195,12 +201,12 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
         axes.tick_params(axis="y", length=0)
         axes.set_xlabel(this.axis)
         against = f"{this.quantity} against {this.reference.label}" if this.reference else this.quantity
-        crosses = f"the bar marks where it crosses {percent(this.threshold)} or a run breaks down"
+        crosses = f"the bar marks where it crosses {told(this.threshold)} or a run breaks down"
         axes.set_title(f"{this.title}\n{against}; {crosses}", fontweight="bold")
         scale = matplotlib.cm.ScalarMappable(norm, colours)
-        bar = figure.colorbar(scale, ax=axes, label=this.quantity, aspect=14, pad=0.01, format=percent).ax.yaxis
+        bar = figure.colorbar(scale, ax=axes, label=this.quantity, aspect=14, pad=0.01, format=told).ax.yaxis
         few = max(errors) / min(errors) < 100
-        bar.set_minor_formatter(lambda x, _: percent(x) if few and f"{x:e}"[0] in "25" else "")
+        bar.set_minor_formatter(lambda x, _: told(x) if few and f"{x:e}"[0] in "25" else "")
         low, high = sorted((this.safe, this.harsh))
         if this.scale.name == "log" and high / low < 1000:
             axes.xaxis.set_major_formatter("{x:g}")
@@ -216,7 +222,8 @@ def shortened(cause: str | None) -> str:
 def table(this: Map, lines: Sequence[Line]) -> str:
     """The boundaries as text."""
     width = max(len(line.label) for line in lines)
-    text = [f"{this.title}: where the {this.quantity} crosses {percent(this.threshold)} ({this.axis})"]
+    threshold = (percent if this.percent else number)(this.threshold)
+    text = [f"{this.title}: where the {this.quantity} crosses {threshold} ({this.axis})"]
     for line in lines:
         causes = ", ".join(sorted({point.cause for point in line.points if point.cause}))
         where = "not on this axis" if line.boundary is None else f"{line.boundary:.3g}"

@@ -250,24 +250,21 @@ class Cracked:
     def _forces(self, q: Array) -> tuple[sif.Forces, Array]:
         """What acts on the body inside a ring, on the faces and by mass, and at which points (n, 2); q : nodal weights."""
         faces, grid = self.faces, self.grid
-        parts, points = [], []
-        for sign in (1.0, -1.0):
+        parts = [(*sif.NONE, np.empty((0, 2)))]
+        for sign in (1.0, -1.0) if self.traction.any() else ():
             rule = faces.on_side(sign, grid.size)
             g = fields_at(rule, self.acting(rule.cells), self.world, self.x)[1]
             inside = grid.linear(q, np.repeat(rule.cells, np.diff(rule.start)), rule.x)
             inside[~self.traction.any(axis=1)] = 0.0
-            parts.append((rule.w * inside, sign * faces.vectors(self.traction), g))
-            points.append(rule.x)
+            parts.append((rule.w * inside, sign * faces.vectors(self.traction), g, rule.x))
         if self.t is not None and any(load.kind in ("gravity", "body") for load in self.scene.loads):
             cells = np.flatnonzero(q[grid.T].any(axis=1))
             rule, acting = self.cutter.rule(cells, degrees=FINE), self.acting(cells)
             g = fields_at(rule, acting, self.world, self.x)[1]
             cells = np.repeat(cells, np.diff(rule.start))
             f = body_force(self.scene, self.enriched_loads.density[cells], rule.x, self.t)
-            parts.append((rule.w * grid.linear(q, cells, rule.x), f, g))
-            points.append(rule.x)
-        w, f, g = (np.concatenate(part) for part in zip(*parts))
-        x = np.concatenate(points)
+            parts.append((rule.w * grid.linear(q, cells, rule.x), f, g, rule.x))
+        w, f, g, x = (np.concatenate(part) for part in zip(*parts))
         acts = w != 0.0
         return sif.Forces(w[acts], f[acts], g[acts]), x[acts]
 
