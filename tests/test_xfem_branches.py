@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -194,6 +195,17 @@ def test_intensity_factors_of_several_tips(name, knobs, tolerance):
     for measure, error in result.error.items():
         assert error < tolerance, (measure, error)
     assert result.checks["momentum"] < 1e-10 and result.checks["path"] < 0.003
+
+
+def test_a_crack_that_grows_onto_another_one_becomes_its_branch():
+    """From the side of a plate in tension onto an upright crack: the tip is gone, the junction is there, the other tips go on."""
+    scene = scenes.get("edge_crack")(a=0.4)
+    scene = replace(scene, cracks=(*scene.cracks, Crack(((0.55, -0.25), (0.56, 0.2)))))
+    steps = list(geofem.grow(scene, method="xfem", da=0.1, until=0.25, n=16))
+    assert [len(step.tips) for step in steps[:3]] == [3, 3, 2]
+    joined = steps[-1].model.cracked.sectors.joined
+    assert joined[0].tolist() == [False, True] and not joined[1].any()
+    assert steps[2].energy["internal"] > steps[1].energy["internal"]
 
 
 def test_a_branched_crack_releases_what_its_intensity_factors_say():
