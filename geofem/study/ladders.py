@@ -184,6 +184,9 @@ LADDERS: dict[str, list[Ladder]] = {
     "edge_crack": cracked("edge_crack", a=0.5),
     "shear_edge_crack": cracked("shear_edge_crack"),
     "inclined_crack": cracked("inclined_crack", beta=30.0),
+    "centre_crack": cracked("centre_crack"),
+    "double_edge": cracked("double_edge"),
+    "branched": cracked("branched"),
 }
 """The ladders of each scene."""
 
