@@ -27,7 +27,22 @@ from collections.abc import Callable
 import numpy as np
 
 from geofem.reference import reference, table
-from geofem.scene import CRITERIA, Crack, Disc, Growth, History, Load, Material, Measure, Polygon, Probe, Reference, Region, Scene, Support
+from geofem.scene import (
+    CRITERIA,
+    Crack,
+    Disc,
+    Growth,
+    History,
+    Load,
+    Material,
+    Measure,
+    Polygon,
+    Probe,
+    Reference,
+    Region,
+    Scene,
+    Support,
+)
 from geofem.scenes._parts import all_of, at_least, at_most, check_choice, check_number
 
 HOLES = {"lower": (-4.0, -1.25), "middle": (-4.0, 0.75), "upper": (-4.0, 2.75)}
