@@ -9,8 +9,10 @@ import numpy as np
 
 from geofem.core import growth
 from geofem.mistake import Breakdown, Mistake
-from geofem.scene import Array, Growth
+from geofem.scene import Array, Growth, Probe
 
+PROBED = ("KI", "KII", "tip", "load", "cycles")
+"""The quantities of probes that cracks know, whatever the method."""
 REACH = 1.5
 """Where the next boundary or crack is nearer than this many steps, a tip breaks through to it at once."""
 SHORT = 0.1
@@ -99,6 +101,31 @@ class Propagation:
 
     def __init__(self, law: Growth, cracks: Cracks):
         self.law, self.cracks, self.cycles = law, cracks, 0.0
+        self._first = cracks.ends()
+
+    def probe(self, probe: Probe) -> float:
+        """The sampled number of a probe, one of ``PROBED``. Collective."""
+        if probe.quantity == "load":
+            return self.load()
+        if probe.quantity == "cycles":
+            return self.cycles
+        if probe.quantity == "tip":
+            started = self._started(probe)
+            return float(self.cracks.paths()[started.crack][-1 if started.last else 0, probe.component])
+        tip = self.tip(probe)
+        return 0.0 if tip is None else float(self.cracks.factors()[0][tip, int(probe.quantity == "KII")])
+
+    def tip(self, probe: Probe) -> int | None:
+        """The present number of the tip that started nearest to where the probe is; None if it has stopped. Collective."""
+        started = self._started(probe)
+        places = [(end.crack, end.last) for end in self.cracks.ends()]
+        return places.index((started.crack, started.last)) if (started.crack, started.last) in places else None
+
+    def _started(self, probe: Probe) -> End:
+        assert probe.at is not None
+        if not self._first:
+            raise Mistake(f"probe {probe.name!r}: no crack of the scene ends inside a body; there is no tip")
+        return min(self._first, key=lambda end: np.hypot(*(end.at - np.array(probe.at))))
 
     def kinks(self) -> tuple[Array, Array]:
         """The angle at which each tip would go on (tips,), radian, and its K (tips,), Pa sqrt(m). Collective."""

@@ -12,7 +12,7 @@ from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from geofem.core.propagation import End, Peak, Propagation
+from geofem.core.propagation import PROBED, End, Peak, Propagation
 from geofem.methods.conforming.body import CrackedBody
 from geofem.mistake import Breakdown, Mistake
 from geofem.scene import Array, Crack, Growth, Probe, Scene
@@ -36,7 +36,6 @@ class ConformingModel:
         self.t = 0.0
         self._external = 0.0
         self._remeshes, self._steps = 0, 0
-        self._first = self.ends()
         self.propagation = Propagation(scene.growth or Growth(length=scene.length), self)
         if scene.growth is not None:
             self.cracked.balance_at(0.0)
@@ -102,26 +101,9 @@ class ConformingModel:
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
-        if probe.quantity in ("KI", "KII", "tip"):
-            return self._of_tip(probe)
-        if probe.quantity == "load":
-            return self.propagation.load()
-        if probe.quantity == "cycles":
-            return self.propagation.cycles
+        if probe.quantity in PROBED:
+            return self.propagation.probe(probe)
         return self.cracked.probe(probe)
-
-    def _of_tip(self, probe: Probe) -> float:
-        """A quantity of the tip that started nearest to a point. Collective."""
-        assert probe.at is not None
-        if not self._first:
-            raise Mistake(f"probe {probe.name!r}: no crack of scene {self.scene.name} ends inside a body; there is no tip")
-        started = min(self._first, key=lambda end: np.hypot(*(end.at - np.array(probe.at))))
-        if probe.quantity == "tip":
-            return float(self.paths()[started.crack][-1 if started.last else 0, probe.component])
-        for K, end in zip(self.factors()[0], self.ends()):
-            if (end.crack, end.last) == (started.crack, started.last):
-                return float(K[0 if probe.quantity == "KI" else 1])
-        return 0.0
 
     def energy(self) -> dict[str, float]:
         return self.cracked.energy() | {"external": self._external}

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 from geofem.core import intensity as sif
 from geofem.core.conditions import Loads
-from geofem.core.propagation import End, Peak, Propagation
+from geofem.core.propagation import PROBED, End, Peak, Propagation
 from geofem.cost import phase
 from geofem.methods.xfem.basis import fields_at
 from geofem.methods.xfem.cracked import INNER, INNER_CELLS, Cracked
@@ -41,7 +41,6 @@ class XfemModel:
         self.cracked = self._with(polylines(scene.cracks))
         self._energy = {"kinetic": 0.0, "internal": 0.0, "external": 0.0}
         self._imbalance = 0.0
-        self._first = self.ends()
         self.propagation = Propagation(scene.growth or Growth(length=scene.length), self)
         if scene.growth is not None:
             self._balance(0.0)
@@ -110,12 +109,11 @@ class XfemModel:
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
-        if probe.quantity in ("KI", "KII", "T", "tip"):
-            return self._of_tip(probe)
-        if probe.quantity == "load":
-            return self.propagation.load()
-        if probe.quantity == "cycles":
-            return self.propagation.cycles
+        if probe.quantity in PROBED:
+            return self.propagation.probe(probe)
+        if probe.quantity == "T":
+            tip = self.propagation.tip(probe)
+            return 0.0 if tip is None else self.cracked.tension(tip)
         if probe.quantity in ("displacement_error", "energy_error"):
             return self._error(probe)
         if probe.quantity == "opening":
@@ -135,21 +133,6 @@ class XfemModel:
             reaction = (self.cracked.internal - self.cracked.force(self.t))[dofs].sum()
             return float(self.comm.allreduce(reaction, op=MPI.SUM))
         raise Mistake(f"probe {probe.name!r}: xfem does not measure {probe.quantity!r}")
-
-    def _of_tip(self, probe: Probe) -> float:
-        """A quantity of the tip that started nearest to a point. Collective."""
-        assert probe.at is not None
-        if not self._first:
-            raise Mistake(f"probe {probe.name!r}: no crack of scene {self.scene.name} ends inside a body; there is no tip")
-        started = min(self._first, key=lambda end: np.hypot(*(end.at - np.array(probe.at))))
-        if probe.quantity == "tip":
-            return float(self.paths()[started.crack][-1 if started.last else 0, probe.component])
-        for tip, (K, end) in enumerate(zip(self.factors()[0], self.ends())):
-            if (end.crack, end.last) == (started.crack, started.last):
-                if probe.quantity == "T":
-                    return self.cracked.tension(tip)
-                return float(K[0 if probe.quantity == "KI" else 1])
-        return 0.0
 
     def _error(self, probe: Probe) -> float:
         """See ``displacement_error`` and ``energy_error`` of ``Probe``. Collective."""
