@@ -146,12 +146,6 @@ def enriched(x: float, y: float, k: int, acting: CellEntries, world: World, s: S
 
 
 @kernel
-def strain(g: Array, out: Array) -> None:
-    """(xx, yy, 2 xy) of a displacement gradient (2, 2)."""
-    out[0], out[1], out[2] = g[0, 0], g[1, 1], g[0, 1] + g[1, 0]
-
-
-@kernel
 def blocks(rule: Rule, acting: CellEntries, world: World, lam: Array, mu: Array) -> tuple[Array, Array, Array]:
     """The blocks of the stiffness that enriched dofs have a part in, as rows, columns and values of local dofs.
 
@@ -164,7 +158,8 @@ def blocks(rule: Rule, acting: CellEntries, world: World, lam: Array, mu: Array)
         widest = max(widest, width)
     rows, columns, values = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size)
     V, G = np.empty((widest, 2)), np.empty((widest, 2, 2))
-    e, t = np.zeros((widest + 6, 3)), np.empty((widest + 6, 3))
+    # a row for each component, so that the innermost loop runs along it
+    e = np.zeros((3, widest + 6))
     K = np.empty((widest + 6, widest + 6))
     dofs = np.empty(widest + 6, np.int64)
     s = scratch()
@@ -175,21 +170,22 @@ def blocks(rule: Rule, acting: CellEntries, world: World, lam: Array, mu: Array)
         hat_gradients(cell, world, s.dN)
         K[:n, :n] = 0.0
         for v in range(3):
-            e[2 * v, 0], e[2 * v, 2] = s.dN[v, 0], s.dN[v, 1]
-            e[2 * v + 1, 1], e[2 * v + 1, 2] = s.dN[v, 1], s.dN[v, 0]
-            e[2 * v, 1] = e[2 * v + 1, 0] = 0.0
+            e[0, 2 * v], e[2, 2 * v] = s.dN[v, 0], s.dN[v, 1]
+            e[1, 2 * v + 1], e[2, 2 * v + 1] = s.dN[v, 1], s.dN[v, 0]
+            e[1, 2 * v] = e[0, 2 * v + 1] = 0.0
         for q in range(rule.start[k], rule.start[k + 1]):
             hats(rule.x[q, 0], rule.x[q, 1], cell, world, s)
             enriched(rule.x[q, 0], rule.x[q, 1], k, acting, world, s, V, G)
             wl, wm = rule.w[q] * lam[cell], rule.w[q] * mu[cell]
             for a in range(6, n):
-                strain(G[a - 6], e[a])
-                t[a, 0] = (wl + 2.0 * wm) * e[a, 0] + wl * e[a, 1]
-                t[a, 1] = wl * e[a, 0] + (wl + 2.0 * wm) * e[a, 1]
-                t[a, 2] = wm * e[a, 2]
+                g = G[a - 6]
+                e[0, a], e[1, a], e[2, a] = g[0, 0], g[1, 1], g[0, 1] + g[1, 0]
             for a in range(6, n):
+                t0 = (wl + 2.0 * wm) * e[0, a] + wl * e[1, a]
+                t1 = wl * e[0, a] + (wl + 2.0 * wm) * e[1, a]
+                t2 = wm * e[2, a]
                 for b in range(a + 1):
-                    K[a, b] += t[a, 0] * e[b, 0] + t[a, 1] * e[b, 1] + t[a, 2] * e[b, 2]
+                    K[a, b] += t0 * e[0, b] + t1 * e[1, b] + t2 * e[2, b]
         for a in range(6, n):
             for b in range(a + 1):
                 rows[filled], columns[filled], values[filled] = dofs[a], dofs[b], K[a, b]

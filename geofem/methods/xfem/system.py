@@ -6,12 +6,13 @@ Each rank numbers its standard dofs first and its enriched ones after them; an e
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 from petsc4py import PETSc
-from scipy.sparse import coo_matrix
+from scipy.sparse import bsr_matrix, coo_matrix, csr_matrix
 
 from geofem.core.solvers import LinearSolver
 from geofem.cost import phase
@@ -66,6 +67,18 @@ class StandardBlock:
         self.rows = grid.map.local_range[0] + rows
         self.columns = matrix.index_map(1).local_to_global(matrix.indices[:end].astype(np.int32))
         self.values = matrix.data.reshape(-1, 4)[:end].copy()
+
+    @cached_property
+    def _single(self) -> csr_matrix:
+        """The entries one by one, on one rank."""
+        start = np.searchsorted(self.rows, np.arange(self.rows[-1] + 2))
+        return bsr_matrix((self.values.reshape(-1, 2, 2), self.columns, start)).tocsr()
+
+    def whole(self, dofs: int) -> csr_matrix:
+        """The entries with rows and columns of further dofs, empty ones, on one rank."""
+        one = self._single
+        start = np.append(one.indptr, np.full(dofs - one.shape[0], one.indptr[-1], one.indptr.dtype))
+        return csr_matrix((one.data, one.indices, start), shape=(dofs, dofs))
 
     def triplets(self, numbering: Numbering) -> tuple[Array, Array, Array]:
         """Global rows, columns and values of single entries."""
@@ -123,12 +136,16 @@ class System:
         self, standard: StandardBlock, blocks: tuple[Array, Array, Array], springs: tuple[Array, Array, Array] | None
     ) -> PETSc.Mat:
         to_global = self.numbering.to_global
-        parts = [standard.triplets(self.numbering), (to_global[blocks[0]], to_global[blocks[1]], blocks[2])]
-        rows, columns, values = (np.concatenate(part) for part in zip(*parts, *([springs] if springs else [])))
+        parts = [(to_global[blocks[0]], to_global[blocks[1]], blocks[2]), *([springs] if springs else [])]
+        if self.comm.size > 1:
+            parts.append(standard.triplets(self.numbering))
+        rows, columns, values = (np.concatenate(part) if len(part) > 1 else part[0] for part in zip(*parts))
         index = rows.astype(PETSc.IntType), columns.astype(PETSc.IntType)
         if self.comm.size == 1:
-            # half the time of PETSc's own sum
+            # a third of the time of PETSc's own sum
             whole = coo_matrix((values, index), shape=(self.numbering.total,) * 2).tocsr()
+            whole = standard.whole(self.numbering.total) + whole
+            whole.sort_indices()
             return PETSc.Mat().createAIJ(whole.shape, csr=(whole.indptr, whole.indices, whole.data), comm=self.comm)
         mat = PETSc.Mat().create(self.comm)
         mat.setSizes([[self.numbering.owned, self.numbering.total]] * 2)
