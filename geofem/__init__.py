@@ -3,7 +3,7 @@
 >>> import geofem
 >>> result = geofem.run("cook", method="fem", n=16)  # doctest: +SKIP
 >>> result.error["uy"]  # doctest: +SKIP
->>> for step in geofem.grow("three_holes", n=60, da=0.1):  # doctest: +SKIP
+>>> for step in geofem.grow("three_holes", n=40, da=0.1):  # doctest: +SKIP
 ...     print(step.advance, step.K, step.path)
 
 Importing the package loads neither dolfinx nor numba: a public name is fetched when it is first used.
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from geofem.runner import run
     from geofem.scene import (
         Box,
+        Cohesion,
         Crack,
         Disc,
         Growth,
@@ -57,8 +58,8 @@ _caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_caches / "geofem" / f"numba-{_stamp}"))
 
 __all__ = [
-    "Box", "Breakdown", "Crack", "Disc", "Growth", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon", "Probe",
-    "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Step", "Support", "Wall", "compare", "grow", "run",
+    "Box", "Breakdown", "Cohesion", "Crack", "Disc", "Growth", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon",
+    "Probe", "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Step", "Support", "Wall", "compare", "grow", "run",
     "vary",
 ]  # fmt: skip
 
