@@ -75,6 +75,15 @@ def width_of(k: int, acting: CellEntries, world: World) -> int:
 
 
 @kernel
+def widest_of(acting: CellEntries, world: World) -> int:
+    """The largest number of enriched dofs in a cell."""
+    widest = 0
+    for k in range(acting.start.shape[0] - 1):
+        widest = max(widest, width_of(k, acting, world))
+    return widest
+
+
+@kernel
 def dofs_of(k: int, cell: int, acting: CellEntries, world: World, out: Array) -> int:
     """The local dofs of the k-th cell: six standard ones, then the enriched ones; returns how many."""
     for v in range(3):
@@ -199,9 +208,7 @@ def blocks(rule: Rule, acting: CellEntries, world: World, lam: Array, mu: Array)
 @kernel
 def fields_at(rule: Rule, acting: CellEntries, world: World, x: Array) -> tuple[Array, Array]:
     """The displacement (n, 2) and its gradient (n, 2, 2) at the points of a rule; x : all local dofs."""
-    widest = 0
-    for k in range(rule.cells.shape[0]):
-        widest = max(widest, width_of(k, acting, world))
+    widest = widest_of(acting, world)
     V, G = np.empty((widest, 2)), np.empty((widest, 2, 2))
     dofs = np.empty(widest + 6, np.int64)
     s = scratch()

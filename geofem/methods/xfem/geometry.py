@@ -63,6 +63,11 @@ def lines_of(cracks: Sequence[Array]) -> Lines:
     return Lines(points, np.concatenate([[0], np.cumsum([len(line) for line in cracks], dtype=np.int64)]))
 
 
+def cracks_of(lines: Lines) -> list[Array]:
+    """The points (n, 2) of each crack."""
+    return [lines.points[a:b] for a, b in zip(lines.start, lines.start[1:])]
+
+
 def find_tips(grid: Grid, lines: Lines, joined: Array, boundary: Array) -> Tips:
     """The ends of cracks that lie inside a body and not on another crack. Collective.
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geofem.materials.kinematics import kernel
-from geofem.methods.xfem.geometry import Lines, lines_of, side
+from geofem.methods.xfem.geometry import Lines, cracks_of, lines_of, side
 from geofem.scene import Array
 
 JOIN = 1e-9
@@ -84,11 +84,6 @@ def network(lines: Lines) -> Lines:
         if pair is not None and main_at(pieces, place) is None:
             pieces[pair[0]] = chained(pieces[pair[0]], pieces.pop(pair[1]), place)
     return lines_of(pieces)
-
-
-def cracks_of(lines: Lines) -> list[Array]:
-    """The points (n, 2) of each crack."""
-    return [lines.points[a:b] for a, b in zip(lines.start, lines.start[1:])]
 
 
 def cut_at(crack: Array, places: Sequence[Array]) -> list[Array]:

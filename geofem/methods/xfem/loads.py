@@ -8,8 +8,9 @@ import numpy as np
 
 from geofem.core.mesh import Body, facets
 from geofem.materials.kinematics import kernel
-from geofem.methods.xfem.basis import World, dofs_of, enriched, hat_gradients, hats, scratch, width_of
+from geofem.methods.xfem.basis import World, dofs_of, enriched, hat_gradients, hats, scratch, widest_of
 from geofem.methods.xfem.enrichment import CellEntries
+from geofem.methods.xfem.geometry import cracks_of
 from geofem.methods.xfem.grid import Grid, boundary_edges
 from geofem.methods.xfem.rules import Rule
 from geofem.methods.xfem.supports import crossings
@@ -111,12 +112,12 @@ def edge_rule(edges: Array, cells: Array, world: World) -> Rule:
     """A rule along edges (k, 2) of the cells (k,), in parts between the cracks that cut them; weights are lengths (m)."""
     gauss, weight = np.polynomial.legendre.leggauss(POINTS)
     start, x, w = [0], [np.empty((0, 2))], [np.empty(0)]
-    lines = world.lines
+    cracks = cracks_of(world.lines)
     for i, j in edges.tolist():
         a, b = world.X[i], world.X[j]
         cuts = [0.0, 1.0]
-        for c in range(len(lines.start) - 1):
-            cuts += crossings(a, b, lines.points[lines.start[c] : lines.start[c + 1]])
+        for crack in cracks:
+            cuts += crossings(a, b, crack)
         ends = np.unique(cuts)
         t = (0.5 * (ends[1:] + ends[:-1])[:, None] + 0.5 * np.diff(ends)[:, None] * gauss).ravel()
         x.append(a + t[:, None] * (b - a))
@@ -129,9 +130,7 @@ def edge_rule(edges: Array, cells: Array, world: World) -> Rule:
 def forces(rule: Rule, acting: CellEntries, world: World, f: Array, local: int) -> Array:
     """The integral of f (points, 2) times the enriched basis functions, at all local dofs."""
     out = np.zeros(local)
-    widest = 0
-    for k in range(rule.cells.shape[0]):
-        widest = max(widest, width_of(k, acting, world))
+    widest = widest_of(acting, world)
     V, G = np.empty((widest, 2)), np.empty((widest, 2, 2))
     dofs = np.empty(widest + 6, np.int64)
     s = scratch()

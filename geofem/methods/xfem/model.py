@@ -16,7 +16,7 @@ from geofem.cost import phase
 from geofem.methods.xfem.basis import fields_at
 from geofem.methods.xfem.cracked import INNER, INNER_CELLS, Cracked
 from geofem.methods.xfem.enrichment import TipChoice
-from geofem.methods.xfem.geometry import Lines, lines_of, polylines
+from geofem.methods.xfem.geometry import Lines, cracks_of, lines_of, polylines
 from geofem.methods.xfem.intact import Intact
 from geofem.methods.xfem.peak import peak
 from geofem.mistake import Breakdown, Mistake
@@ -51,8 +51,7 @@ class XfemModel:
 
     # --- cracks that grow, see ``geofem.core.propagation.Cracks`` ----------------------------------------------------
     def paths(self) -> list[Array]:
-        lines = self.cracked.lines
-        return [lines.points[a:b].copy() for a, b in zip(lines.start, lines.start[1:])]
+        return [path.copy() for path in cracks_of(self.cracked.lines)]
 
     def ends(self) -> list[End]:
         tips = self.cracked.tips

@@ -142,7 +142,7 @@ class System:
         rows, columns, values = (np.concatenate(part) if len(part) > 1 else part[0] for part in zip(*parts))
         index = rows.astype(PETSc.IntType), columns.astype(PETSc.IntType)
         if self.comm.size == 1:
-            # a third of the time of PETSc's own sum
+            # less than half the time of PETSc's own sum, which would sum the standard block anew
             whole = coo_matrix((values, index), shape=(self.numbering.total,) * 2).tocsr()
             whole = standard.whole(self.numbering.total) + whole
             whole.sort_indices()
