@@ -1,0 +1,1 @@
+"""The particle finite element method: the nodes are the material, and are tessellated anew whenever the mesh asks for it."""
