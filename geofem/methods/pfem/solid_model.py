@@ -13,6 +13,7 @@ from geofem.core.mpi import on_root
 from geofem.methods.mpm.answers import quantile
 from geofem.methods.pfem import solid_body
 from geofem.methods.pfem.solid_body import STATES, Body
+from geofem.methods.pfem.solid_dynamic import Dynamic
 from geofem.methods.pfem.solid_static import Static
 from geofem.mistake import Mistake, unknown
 from geofem.scene import Array, Probe, Scene
@@ -20,12 +21,14 @@ from geofem.scene import Array, Probe, Scene
 STABILISATION = 2e-3
 """Default share of the shear stiffness: with a hundredth the strip footing bears 3 % more, with none Newton takes four times as many
 iterations."""
+DAMPING = 0.1
+"""The same for explicit steps, which are so short that it is the damping ratio of the shortest waves."""
 
 
 class SolidModel:
     """Solids whose nodes are the material; see ``build_solid`` for the knobs."""
 
-    def __init__(self, scene: Scene, body: Body, solver: Static):
+    def __init__(self, scene: Scene, body: Body, solver: Static | Dynamic):
         self.scene, self.body, self.solver = scene, body, solver
         self.t = 0.0
         self.comm = body.comm
@@ -154,28 +157,30 @@ def refuses_solid(scene: Scene) -> str | None:
     return None
 
 
-def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bool = True, stabilisation: float = STABILISATION,
+def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bool = True, stabilisation: float | None = None,
                 grading: float | None = None, steps: int | None = None, tolerance: float | None = None) -> SolidModel:  # fmt: skip
     """The model of a scene of solids.
 
-    n : cells across the scene's length. state : where history lives, nodal or points (in the triangles).
+    n : cells across the scene's length. state : where history lives, nodal or points (in the triangles); by default nodal for plastic laws.
     cured : of points, whether the change of volume is averaged around nodes against locking.
     stabilisation : see ``Body``. grading : of the first mesh towards the scene's singular points, as of fem.
     steps : load steps of a scene without inertia. tolerance : of Newton's method, 1e-9, and 1e-5 for plastic laws.
 
     Raises ``Mistake`` for a knob or a material out of range.
     """
-    state = state or "nodal"
+    plastic = any(materials.LAWS[region.material.law].history for region in scene.regions)
+    state = state or ("nodal" if plastic else "points")
     if state not in STATES:
         raise unknown("state", state, STATES)
     for name, value in (("n", n), ("steps", steps)):
         if value is not None and (not isinstance(value, int) or value < 1):
             raise Mistake(f"knob {name} = {value!r}: give a whole number, at least 1")
+    if stabilisation is None:
+        stabilisation = DAMPING if scene.dynamic else STABILISATION
     if not stabilisation >= 0:
         raise Mistake(f"knob stabilisation = {stabilisation:g} must not be negative")
     for region in scene.regions:
         materials.check(region.material, f"region {region.name!r}")
-    plastic = any(materials.LAWS[region.material.law].history for region in scene.regions)
     grading = grading if grading is not None else (2.0 if plastic and scene.strain == "small" else 1.0)
     comm = MPI.COMM_WORLD
 
@@ -185,5 +190,7 @@ def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bo
 
     cloud, cells = comm.bcast(on_root(comm, made))
     body = Body(scene, cloud, cells, state, cured, stabilisation, comm)
+    if scene.dynamic:
+        return SolidModel(scene, body, Dynamic(body))
     steps = steps or 10
     return SolidModel(scene, body, Static(body, scene.t_end / steps, tolerance or (1e-5 if plastic else 1e-9)))
