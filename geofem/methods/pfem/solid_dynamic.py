@@ -126,7 +126,7 @@ class Dynamic:
 
     def _stress(self) -> Array:
         """Stresses on this configuration (d, 4) of the state as it is."""
-        return self.body.laws.respond(self.body.history, np.zeros((self.body.domains.n, 4)), np.inf).P
+        return self.body.laws.respond(self.body.history, np.zeros((self.body.domains.n, 4)), 0.0).P
 
     def _held(self, t: float, span: float) -> tuple[Array, Array, list[Array]]:
         """Dofs of given velocity (n, 2), the velocities (m/s), and the nodes of each support."""
@@ -158,9 +158,7 @@ class Dynamic:
         """Make the end of the steps the configuration."""
         body, cloud = self.body, self.body.cloud
         for support, nodes in zip(self.scene.supports, supported):
-            self.reaction[support.name] = np.array(
-                [held[nodes, c].sum() if c in support.components else 0.0 for c in range(2)]
-            )
+            self.reaction[support.name] = np.array([held[nodes, c].sum() if c in support.components else 0.0 for c in range(2)])
         for o, obstacle in enumerate(self.obstacles):
             self.reaction[obstacle.name] = impulse[o] / span
         self._impulse += impulse.sum(axis=0) + span * (held.sum(axis=0) + 0.5 * (loads[0] + loads[1]).sum(axis=0))

@@ -36,7 +36,13 @@ def make_update(point: Callable[..., Any]) -> Callable[..., Any]:
                 c += uy * gradient[s, 0]
                 e += uy * gradient[s, 1] + more
             g = Fn[d]
-            F[0], F[1], F[2], F[3], F[4] = a * g[0] + b * g[2], a * g[1] + b * g[3], c * g[0] + e * g[2], c * g[1] + e * g[3], g[4]
+            F[0], F[1], F[2], F[3], F[4] = (
+                a * g[0] + b * g[2],
+                a * g[1] + b * g[3],
+                c * g[0] + e * g[2],
+                c * g[1] + e * g[3],
+                g[4],
+            )
             p, q, r, t = f[d, 0], f[d, 1], f[d, 2], f[d, 3]
             old[0], old[1], old[2], old[3], old[4] = (
                 p * g[0] + q * g[2],
