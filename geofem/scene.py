@@ -225,6 +225,9 @@ class Probe:
         or rigid body ``of`` exerts on the bodies;
         ``quantile`` coordinate ``component`` (m) below which ``share`` of the mass lies: the front of a flow, its height;
         ``mean_velocity`` component of the velocity of the centre of mass;
+        ``largest_speed`` largest magnitude of the velocity (m/s) over all nodes or material points;
+        ``pressure_error`` root mean square over the body of p - exact(x, t) (Pa) at *present* positions x, exact: (x, t) -> (n,),
+        with the pressure p, a third of minus the trace of the stress;
         ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n);
         ``energy_error`` square root of the strain energy (J) of u minus a displacement of gradient exact: (x, t) -> (gdim, gdim, n);
         ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip that started nearest to the point ``at``; 0 once it

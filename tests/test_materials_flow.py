@@ -20,7 +20,8 @@ from geofem.scene import Material
 GRAINS = {"E": E, "nu": NU, "mu_s": 0.38, "mu_2": 0.64, "I_0": 0.28, "d": 0.01, "rho_s": 2.0}
 SAND = {"E": E, "nu": NU, "c": 0.0, "phi": 30.0, "gap": 1.0}
 WATER = {"mu": 1.0, "K": E, "gamma": 7.0, "cavitation": 0.0}
-PARAMETERS = {"mu_i": GRAINS, "drucker_prager": SAND, "mohr_coulomb": SAND, "newtonian": WATER}
+MUD = WATER | {"tau_y": 20.0, "m": 5.0}
+PARAMETERS = {"mu_i": GRAINS, "drucker_prager": SAND, "mohr_coulomb": SAND, "newtonian": WATER, "bingham": MUD}
 TENSIONLESS = ["mu_i", "drucker_prager", "mohr_coulomb"]
 BULK = E / (3 * (1 - 2 * NU))
 G = 0.5 * E / (1 + NU)
@@ -85,6 +86,10 @@ def friction(rate, p, law=GRAINS):
         ("newtonian", {"gamma": 0.0}, "gamma = 0 must be positive"),
         ("newtonian", {"cavitation": 1.0}, "cavitation = 1 Pa must not be positive"),
         ("newtonian", {"cavitation": -math.inf}, "cavitation = -inf must be a finite number"),
+        ("newtonian", {"surface_tension": -1.0}, "surface_tension = -1 N/m must not be negative"),
+        ("newtonian", {"tau_y": 1.0}, "unknown parameter of newtonian"),
+        ("bingham", {"tau_y": -1.0}, "tau_y = -1 Pa must not be negative"),
+        ("bingham", {"m": -1.0}, "m = -1 s must not be negative"),
     ],
 )
 def test_bad_flow_material_is_a_mistake(law, changes, message):
@@ -363,3 +368,31 @@ def test_cavitating_fluid_stays_viscous():
     tau = finite("newtonian", F, F_old, np.zeros((1, 0)), 0.2)[0]
     assert tau[0, 0, 1] == pytest.approx(WATER["mu"] * 1.2 * 0.1 / 0.2, rel=1e-13)
     assert np.trace(tau[0]) == pytest.approx(0.0, abs=1e-12)
+
+
+# --- the yield stress of a fluid --------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("g", [5, 9])
+@pytest.mark.parametrize("m", [1e-6, 1.0, 100.0])
+def test_tangent_of_a_bingham_fluid_is_the_derivative_of_its_stress(g, m):
+    """From steps within the yield stress to fast flow. 3e-6: eta turns over within a rate of 1 / m, and 1e-8 / (dt / m) of it is seen."""
+    random = np.random.default_rng(4)
+    par = vector("bingham", m=m, gamma=1.0, cavitation=-1e9)
+    F_old = UNIT[g] + random.normal(size=(500, g)) * 0.05
+    step = random.normal(size=(500, g)) * np.geomspace(1e-4, 1e-1, 500)[:, None]
+    F, state = F_old + step, np.zeros((500, 0))
+    _, _, A, _, _ = finite("bingham", F, F_old, state, 0.5, par)
+    assert difference_error(lambda x: finite("bingham", x, F_old, state, 0.5, par)[1:3], A, F, 1e-8) < 3e-6
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(st.floats(1e-9, 1e3), st.floats(0.0, 1e3))
+def test_bingham_fluid_bears_mu_g_and_its_yield_stress(rate, m):
+    """In simple shear at the rate g: tau = mu g + tau_y (1 - exp(-m g)), for any step."""
+    dt = 0.1
+    F = UNIT[5][None] + np.array([0.0, rate * dt, 0.0, 0.0, 0.0])
+    tau = finite("bingham", F, UNIT[5][None], np.zeros((1, 0)), dt, vector("bingham", m=m, cavitation=-1e9))[0]
+    # the Almansi strain of a large shear has normal parts: its second invariant is not that of simple shear alone
+    square = 0.5 * rate**4 * dt**2 * (2 / 3)
+    g = math.hypot(rate, math.sqrt(square))
+    eta = MUD["mu"] + MUD["tau_y"] * -math.expm1(-m * g) / g
+    assert tau[0, 0, 1] == pytest.approx(eta * rate, rel=1e-10)

@@ -81,6 +81,11 @@ DILATION = {
     "psi": (0.0, "dilation angle, degrees"),
     "gap": (0.0, "1: what has opened in tension closes before it resists again (c = 0, finite strain); 0: it resists at once"),
 }
+TAIT = {
+    "gamma": (1.0, "exponent of Tait's equation of state, 7 for water"),
+    "cavitation": (-math.inf, "least pressure, Pa; 0 for a free surface without tension"),
+}
+SURFACE = {"surface_tension": (0.0, "surface tension, N/m")}
 
 LAWS: dict[str, Law] = {
     law.name: law
@@ -101,9 +106,10 @@ LAWS: dict[str, Law] = {
                        "I_0": "inertial number halfway between them", "d": "grain diameter, m"},
             {"rho_s": (2500.0, "density of the grains, kg/m3")}, small=False, history=True),
         Law("newtonian", "viscous, weakly compressible fluid", "fluid",
-            {"mu": "viscosity, Pa s", "K": "bulk modulus, Pa"},
-            {"gamma": (1.0, "exponent of Tait's equation of state, 7 for water"),
-             "cavitation": (-math.inf, "least pressure, Pa; 0 for a free surface without tension")},
+            {"mu": "viscosity, Pa s", "K": "bulk modulus, Pa"}, TAIT | SURFACE, small=False, history=True),
+        Law("bingham", "viscous, weakly compressible fluid that flows where its shear stress exceeds tau_y", "fluid",
+            {"mu": "plastic viscosity, Pa s", "tau_y": "yield stress, Pa", "K": "bulk modulus, Pa"},
+            {"m": (100.0, "time of regularisation, s: creep at rest has the viscosity mu + m tau_y")} | TAIT,
             small=False, history=True),
     )
 }  # fmt: skip
@@ -142,8 +148,9 @@ def check(material: Material, where: str, incompressible_ok: bool = False) -> No
     for name in ("E", "K"):
         if name in given and given[name] <= 0:
             raise Mistake(f"{where}: {name} = {given[name]:g} Pa must be positive")
-    if given.get("mu", 0.0) < 0:
-        raise Mistake(f"{where}: mu = {given['mu']:g} Pa s must not be negative")
+    for name, unit in (("mu", "Pa s"), ("surface_tension", "N/m"), ("tau_y", "Pa"), ("m", "s")):
+        if given.get(name, 0.0) < 0:
+            raise Mistake(f"{where}: {name} = {given[name]:g} {unit} must not be negative")
     if "gamma" in given:
         check_pressure(given["gamma"], given["cavitation"], where)
     if "mu_s" in given:

@@ -1,7 +1,12 @@
-"""A viscous, weakly compressible fluid. par = (mu, K, gamma, cavitation): Pa s, Pa, 1, Pa.
+"""Viscous, weakly compressible fluids. par = (mu, K, gamma, cavitation, tau_y, m): Pa s, Pa, 1, Pa, Pa, s.
 
-tau = J (2 mu dev d - p I) with the rate of deformation d = (I - (f f^T)^-1) / 2 dt: the Almansi strain of the step,
-f = F F_old^-1, over dt; first-order in dt, and zero in any rigid rotation.
+tau = J (2 eta dev d - p I) with the rate of deformation d = (I - (f f^T)^-1) / 2 dt: the Almansi strain of the step,
+f = F F_old^-1, over dt; first-order in dt, and zero in any rigid rotation. A Newtonian fluid has eta = mu. One of Bingham flows
+where its shear stress exceeds tau_y only, here as Papanastasiou (1987, J. Rheol. 31:385-404) regularised it,
+
+    eta = mu + tau_y (1 - exp(-m g)) / g,    g = sqrt(2 dev d : dev d),
+
+so that instead of standing still it creeps, with the viscosity mu + m tau_y at most.
 
 The pressure is that of Tait's equation as Cole (1948, Underwater Explosions) and Monaghan (1994, J. Comput.
 Phys. 110:399-406) write it, p = K / gamma ((1/J)^gamma - 1), gamma = 7 for water; gamma = 1, p = K (1/J - 1), is linear
@@ -44,8 +49,22 @@ def pressure(J: float, par: Array) -> tuple[float, float]:
 
 
 @helper
-def stress(F: Array, F_old: Array, par: Array, dt: float) -> tuple[Floats, Floats, float]:
-    """(c, tau, bulk): c = (f f^T)^-1 and tau by 6 tensor components each (xx, yy, zz, xy, yz, xz), bulk as in ``pressure``."""
+def viscosity(g: float, par: Array) -> tuple[float, float]:
+    """(eta, d eta / dg) at the shear rate g (1/s)."""
+    mu, strength, m = par[0], par[4], par[5]
+    if strength == 0.0:
+        return mu, 0.0
+    s = m * g
+    if s < 1e-4:  # else cancellation
+        return mu + strength * m * (1.0 - 0.5 * s), -strength * m * m * (0.5 - s / 3.0)
+    rest = math.exp(-s)
+    return mu + strength * (1.0 - rest) / g, strength * (s * rest - 1.0 + rest) / (g * g)
+
+
+@helper
+def stress(F: Array, F_old: Array, par: Array, dt: float) -> tuple[Floats, Floats, float, float, float]:
+    """(c, tau, bulk, eta, thinning): c = (f f^T)^-1 and tau by 6 tensor components each (xx, yy, zz, xy, yz, xz), bulk as in
+    ``pressure``, eta the viscosity, thinning = (d eta / dg) / g, 0 at g = 0."""
     if F.shape[0] == 5:
         i0, i1, i2, i3, i4 = inverse_plane(F)
         g0, g1 = F_old[0] * i0 + F_old[1] * i2, F_old[0] * i1 + F_old[1] * i3
@@ -62,14 +81,18 @@ def stress(F: Array, F_old: Array, par: Array, dt: float) -> tuple[Floats, Float
             g0 * g1 + g3 * g4 + g6 * g7, g1 * g2 + g4 * g5 + g7 * g8, g0 * g2 + g3 * g5 + g6 * g8,
         )  # fmt: skip
     J = det(F)
-    viscous = par[0] * J / dt
+    mean = (c[0] + c[1] + c[2]) / 3.0
+    square = (c[0] - mean) ** 2 + (c[1] - mean) ** 2 + (c[2] - mean) ** 2 + 2.0 * (c[3] ** 2 + c[4] ** 2 + c[5] ** 2)
+    g = math.sqrt(0.5 * square) / dt
+    eta, slope = viscosity(g, par)
+    viscous = eta * J / dt
     sphere, bulk = pressure(J, par)
-    sphere += viscous * (c[0] + c[1] + c[2]) / 3.0
+    sphere += viscous * mean
     tau = (
         sphere - viscous * c[0], sphere - viscous * c[1], sphere - viscous * c[2],
         -viscous * c[3], -viscous * c[4], -viscous * c[5],
     )  # fmt: skip
-    return c, tau, bulk
+    return c, tau, bulk, eta, slope / g if g > 0.0 else 0.0
 
 
 @helper
@@ -85,13 +108,13 @@ def symmetric(t: Floats, full: Array) -> None:
 def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array, A: Array, new_state: Array) -> int:
     g = F.shape[1]
     row, column = indices(g)
-    inverse, c, tau, mixed, metric, pulled = np.empty((6, 3, 3))
+    inverse, c, tau, mixed, metric, pulled, strained, turned = np.empty((8, 3, 3))
     for n in range(F.shape[0]):
         J = det(F[n])
         if not J > 0.0:
             return -1 - n
         unpack_inverse(F[n], inverse)
-        c_components, tau_components, bulk = stress(F[n], F_old[n], par, dt)
+        c_components, tau_components, bulk, eta, thinning = stress(F[n], F_old[n], par, dt)
         symmetric(c_components, c)
         symmetric(tau_components, tau)
         # With F^-1 on the second legs: pulled = tau F^-T, mixed = F^-1 c, metric = F^-1 F^-T.
@@ -102,8 +125,18 @@ def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array
                     pulled[i, j] += tau[i, k] * inverse[j, k]
                     mixed[i, j] += inverse[i, k] * c[k, j]
                     metric[i, j] += inverse[i, k] * inverse[j, k]
-        viscous = par[0] * J / dt
-        # d tau / d l = (tau + bulk I) x I + viscous (d(l^T c + c l) / d l)', and -tau x I from the pull-back of P.
+        viscous, thins = eta * J / dt, thinning * J / dt**3
+        mean = (c[0, 0] + c[1, 1] + c[2, 2]) / 3.0
+        # strained = dev c F^-T, turned = dev c c F^-T: g^2 = dev c : dev c / 2 dt^2 changes by -2 (dev c c) : l / dt^2.
+        for i in range(3):
+            for j in range(3):
+                strained[i, j] = -mean * inverse[j, i]
+                turned[i, j] = -mean * mixed[j, i]
+                for k in range(3):
+                    strained[i, j] += c[i, k] * inverse[j, k]
+                    turned[i, j] += c[i, k] * mixed[j, k]
+        # d tau / d l = (tau + bulk I) x I + viscous (d(l^T c + c l) / d l)' + thins dev c x dev c c, and -tau x I from the
+        # pull-back of P.
         for p in range(g):
             i, j = row[p], column[p]
             P[n, p] = pulled[i, j]
@@ -113,6 +146,7 @@ def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array
                     (pulled[i, j] + bulk * inverse[j, i]) * inverse[l, k]
                     - pulled[i, l] * inverse[j, k]
                     + viscous * (inverse[l, i] * mixed[j, k] + c[i, k] * metric[j, l] - 2.0 / 3.0 * inverse[j, i] * mixed[l, k])
+                    + thins * strained[i, j] * turned[k, l]
                 )
     return 0
 
@@ -121,7 +155,7 @@ def finite(F: Array, F_old: Array, state: Array, par: Array, dt: float, P: Array
 def point(F: Array, F_old: Array, state: Array, par: Array, dt: float, tau: Array, new_state: Array) -> int:
     if not det(F) > 0.0:
         return -1
-    _, t, _ = stress(F, F_old, par, dt)
+    _, t, _, _, _ = stress(F, F_old, par, dt)
     tau[0], tau[1], tau[2], tau[3] = t[0], t[1], t[2], t[3]
     if F.shape[0] == 9:
         tau[4], tau[5] = t[4], t[5]
@@ -129,9 +163,9 @@ def point(F: Array, F_old: Array, state: Array, par: Array, dt: float, tau: Arra
 
 
 def parameters(material: Material, weakening: float = 1.0) -> Array:
-    """(mu, K, gamma, cavitation)."""
-    p = values(material)
-    return np.array([p["mu"], p["K"], p["gamma"], p["cavitation"]])
+    """(mu, K, gamma, cavitation, tau_y, m); the yield stress is a strength, and divided by ``weakening``."""
+    p = {"tau_y": 0.0, "m": 0.0} | values(material)
+    return np.array([p["mu"], p["K"], p["gamma"], p["cavitation"], p["tau_y"] / weakening, p["m"]])
 
 
 def wave_speed(par: Array, density: float) -> float:
@@ -139,14 +173,13 @@ def wave_speed(par: Array, density: float) -> float:
     return math.sqrt(par[1] / density)
 
 
-KERNELS = {
-    "newtonian": Kernels(
-        parameters=parameters,
-        state_size=lambda m: 0,
-        small=None,
-        finite=finite,
-        point=point,
-        wave_speed=wave_speed,
-        push=push,
-    )
-}
+FLUID = Kernels(
+    parameters=parameters,
+    state_size=lambda m: 0,
+    small=None,
+    finite=finite,
+    point=point,
+    wave_speed=wave_speed,
+    push=push,
+)
+KERNELS = {"newtonian": FLUID, "bingham": FLUID}

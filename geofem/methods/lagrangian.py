@@ -30,6 +30,10 @@ class Fem:
             return "fem has no contact with walls or rigid bodies; use a material point method"
         if scene.cracks or scene.growth:
             return conforming.refuses(scene)
+        if any(region.material.parameters.get("surface_tension") for region in scene.regions):
+            return "fem has no surface tension; use pfem"
+        if any(probe.quantity in ("largest_speed", "pressure_error") for probe in scene.probes):
+            return "fem measures no largest speed and no error of the pressure"
         laws = {region.material.law for region in scene.regions}
         if scene.plane == "plane_stress" and laws != {"linear_elastic"}:
             return "plane stress is there for linear_elastic only; use plane_strain"

@@ -49,6 +49,8 @@ class Mpm:
             return f"{self.name} does not search for a collapse load"
         if scene.rigids and scene.plane != "plane_strain":
             return f"{self.name} touches rigid bodies in plane strain only"
+        if any(region.material.parameters.get("surface_tension") for region in scene.regions):
+            return f"{self.name} has no surface tension; use pfem"
         if not all(region.material.density > 0 for region in scene.regions):
             return f"{self.name} is explicit and needs a density in every region"
         return None

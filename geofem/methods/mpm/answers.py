@@ -121,6 +121,11 @@ class Places:
             sums = sum(np.array([float(b.own("mass") @ b.own("v")[:, c]), float(b.own("mass").sum())]) for b in bodies)
             momentum, mass = self.comm.allreduce(sums)
             return momentum / mass
+        if probe.quantity == "largest_speed":
+            own = max(float(np.sum(b.own("v") ** 2, axis=1).max(initial=0.0)) for b in bodies)
+            return math.sqrt(self.comm.allreduce(own, op=MPI.MAX))
+        if probe.quantity == "pressure_error":
+            return self._pressure_error(probe, bodies, t)
         if probe.quantity == "displacement_error":
             assert probe.exact is not None
             sums = np.zeros(2)
@@ -137,6 +142,16 @@ class Places:
         if probe.quantity == "stress" and c >= bodies[k].arrays["tau"].shape[1]:
             return 0.0
         return float(weights @ self._values(bodies[k], ids, probe.quantity, c))
+
+    def _pressure_error(self, probe: Probe, bodies: list[Body], t: float) -> float:
+        assert probe.exact is not None
+        sums = np.zeros(2)
+        for body in bodies:
+            volume = body.own("volume") * body.jacobian()
+            p = -body.stress()[:, :3].mean(axis=1)
+            sums += volume @ (p - probe.exact(body.own("x").T, t)) ** 2, volume.sum()
+        square, volume = self.comm.allreduce(sums)
+        return math.sqrt(square / volume)
 
     def _values(self, body: Body, ids: Array, quantity: str, c: int) -> Array:
         """A field at the points of some numbers."""

@@ -1,0 +1,137 @@
+"""Nodes that touch walls and rigid bodies: a penalty of many times the material's stiffness, and Coulomb's friction.
+
+A boundary node belongs to the face whose plane it is farthest in front of at the start of a step, so that a node that slides past a
+corner changes its face with the step. In front of it there is no force; behind it the depth and the tangential way since it
+touched are springs, whose tangential force is at most the friction times the normal one. With ``STIFF`` times the moduli per
+node (Pa in the plane), a node sinks in by a few ten-thousandths of the spacing under a pressure of some strengths.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from geofem.mistake import Mistake
+from geofem.scene import Array, Rigid, Scene, Wall
+
+STIFF = 10.0
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A wall, of one face, or a rigid body.
+
+    normals : (k, 2) out of the obstacle. points : (k, 2) of the faces at t = 0.
+    """
+
+    name: str
+    friction: float
+    normals: Array
+    points: Array
+    source: Wall | Rigid
+
+    def shift(self, t: float) -> Array:
+        """How far it has moved since t = 0 (m)."""
+        if isinstance(self.source, Rigid) and self.source.motion is not None:
+            return np.asarray(self.source.motion(t), float)
+        return np.zeros(2)
+
+    def distances(self, x: Array, t: float) -> Array:
+        """Of positions (n, 2) in front of each face (n, k)."""
+        return np.einsum("kj,nkj->nk", self.normals, x[:, None] - (self.points + self.shift(t)))
+
+
+def obstacles(scene: Scene) -> list[Obstacle]:
+    """The walls and rigid bodies of a scene."""
+    out = []
+    for wall in scene.walls:
+        normal = np.array(wall.normal, float)
+        out.append(Obstacle(wall.name, wall.friction, normal[None], plane_of(wall, scene)[None], wall))
+    for rigid in scene.rigids:
+        p = np.array(rigid.shape.points)
+        side = np.roll(p, -1, axis=0) - p
+        normals = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.linalg.norm(side, axis=1)[:, None]
+        out.append(Obstacle(rigid.name, rigid.friction, normals, p, rigid))
+    return out
+
+
+def plane_of(wall: Wall, scene: Scene) -> Array:
+    """A point (2,) of a wall's plane, found by halving: its predicate is true on the wall and beyond.
+
+    Raises ``Mistake`` if the wall is not met on the way out from the middle of any of the bodies.
+    """
+    axis, sign = int(np.argmax(np.abs(wall.normal))), float(sum(wall.normal))
+    boxes = np.array([region.shape.bounds for region in scene.regions if hasattr(region.shape, "bounds")])
+    size = float(np.ptp(boxes, axis=(0, 1)).max())
+    for low, high in boxes:
+        inside, beyond = 0.5 * (low + high), 0.5 * (low + high)
+        beyond[axis] -= sign * 4.0 * size
+        if wall.where(inside[:, None])[0] or not wall.where(beyond[:, None])[0]:
+            continue
+        for _ in range(80):
+            middle = 0.5 * (inside + beyond)
+            if wall.where(middle[:, None])[0]:
+                beyond = middle
+            else:
+                inside = middle
+        return np.round(beyond, 8)
+    raise Mistake(f"wall {wall.name}: is not met from the middle of any body along {wall.normal}; check where and normal")
+
+
+@dataclass
+class Touch:
+    """The contact of the nodes with one obstacle in a step.
+
+    nodes : (k,) that may touch. normal : (k, 2). start : (k,) distance before the step. slip : (k, 2) tangential spring (m) before it.
+    force : (k, 2) on the nodes, as last evaluated; stretch : (k, 2) the spring that goes with it. move : (2,) of the obstacle.
+    """
+
+    obstacle: Obstacle
+    nodes: Array
+    normal: Array
+    start: Array
+    slip: Array
+    move: Array
+    stiffness: Array
+    force: Array
+    stretch: Array
+
+    def evaluate(self, du: Array) -> Array:
+        """Forces on the nodes for the displacement du (n, 2) in this step; returns their stiffness (k, 2, 2)."""
+        u = du[self.nodes] - self.move
+        depth = self.start + np.einsum("kj,kj->k", self.normal, u)
+        touching = depth < 0.0
+        pressure = np.where(touching, -self.stiffness * depth, 0.0)
+        outer = self.normal[:, :, None] * self.normal[:, None, :]
+        along = np.eye(2) - outer
+        spring = self.slip + np.einsum("kij,kj->ki", along, u)
+        trial = self.stiffness * np.linalg.norm(spring, axis=1)
+        most = np.where(touching, self.obstacle.friction * pressure if self.obstacle.friction < math.inf else math.inf, 0.0)
+        stuck = touching & (trial <= most)
+        ratio = np.where(stuck, 1.0, np.divide(most, trial, out=np.zeros_like(trial), where=(trial > most) & touching))
+        self.stretch = spring * ratio[:, None]
+        self.force = pressure[:, None] * self.normal - self.stiffness[:, None] * self.stretch
+        blocks = np.where(touching, self.stiffness, 0.0)[:, None, None] * outer
+        blocks += np.where(stuck, self.stiffness, 0.0)[:, None, None] * along
+        sliding = touching & ~stuck & (trial > 0)
+        if self.obstacle.friction > 0 and sliding.any():
+            way = spring / np.maximum(np.linalg.norm(spring, axis=1), 1e-300)[:, None]
+            turn = self.obstacle.friction * self.stiffness[:, None, None] * way[:, :, None] * self.normal[:, None, :]
+            blocks -= np.where(sliding[:, None, None], turn, 0.0)
+        return blocks
+
+
+def begin(
+    obstacle: Obstacle, x: Array, t0: float, t1: float, nodes: Array, slip: Array, stiffness: Array, reach: float
+) -> Touch:
+    """The contact of the ``nodes`` at x (n, 2) with an obstacle in the step from t0 to t1, but for those beyond ``reach`` (m)."""
+    distance = obstacle.distances(x[nodes], t0)
+    face = np.argmax(distance, axis=1)
+    start = distance[np.arange(len(nodes)), face]
+    move = obstacle.shift(t1) - obstacle.shift(t0)
+    near = start < reach + np.linalg.norm(move)
+    nodes, face, start = nodes[near], face[near], start[near]
+    return Touch(obstacle, nodes, obstacle.normals[face], start, slip[nodes], move, stiffness[nodes], np.zeros((len(nodes), 2)),
+                 np.zeros((len(nodes), 2)))  # fmt: skip

@@ -1,0 +1,189 @@
+"""The particle finite element method for solids as a model of a scene: steps, remeshing in between, and what a run asks of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem import materials
+from geofem.core import mesh as meshes
+from geofem.core.mpi import on_root
+from geofem.methods.mpm.answers import quantile
+from geofem.methods.pfem import solid_body
+from geofem.methods.pfem.solid_body import STATES, Body
+from geofem.methods.pfem.solid_static import Static
+from geofem.mistake import Mistake, unknown
+from geofem.scene import Array, Probe, Scene
+
+STABILISATION = 2e-3
+"""Default share of the shear stiffness: with a hundredth the strip footing bears 3 % more, with none Newton takes four times as many
+iterations."""
+
+
+class SolidModel:
+    """Solids whose nodes are the material; see ``build_solid`` for the knobs."""
+
+    def __init__(self, scene: Scene, body: Body, solver: Static):
+        self.scene, self.body, self.solver = scene, body, solver
+        self.t = 0.0
+        self.comm = body.comm
+        self.work = {"steps": 0, "newton": 0, "linear": 0, "point_steps": 0, "remeshes": 0}
+        self._places = {
+            p.at: self._around(p)
+            for p in scene.probes
+            if p.at is not None and p.quantity in ("displacement", "velocity", "stress")
+        }
+
+    def dt(self) -> float:
+        return self.solver.dt
+
+    def step(self, dt: float) -> None:
+        self.t = self.solver.step(self.t, dt)
+        self.work["steps"] += 1
+        self.work["newton"] = self.work["linear"] = self.solver.iterations
+
+    # --- what the runner asks -------------------------------------------------------------------------------------------
+    def _around(self, probe: Probe) -> tuple[Array, Array, int]:
+        """The ids of the nodes of the cell that holds a reference position, their weights, and the cell."""
+        assert probe.at is not None
+        X, cells = self.body.cloud.X, self.body.cells
+        corner = X[cells]
+        edge = corner[:, 1:] - corner[:, :1]
+        inverse = np.linalg.inv(edge.transpose(0, 2, 1))
+        inner = np.einsum("cij,cj->ci", inverse, np.array(probe.at) - corner[:, 0])
+        weights = np.column_stack([1.0 - inner.sum(axis=1), inner])
+        cell = int(np.argmax(weights.min(axis=1)))
+        if weights[cell].min() < -1e-6:
+            raise Mistake(f"probe {probe.name!r}: the point {tuple(probe.at)} lies outside the mesh; give a point of the body")
+        return self.body.cloud.id[cells[cell]], weights[cell], cell
+
+    def _at(self, probe: Probe, field: Array) -> float:
+        """A nodal field (n,) at a probe's material point; of nodes that were removed those nearest in the reference answer."""
+        assert probe.at is not None
+        ids, weights, _ = self._places[probe.at]
+        cloud = self.body.cloud
+        place = {int(i): k for k, i in enumerate(cloud.id)}
+        if all(int(i) in place for i in ids):
+            return float(weights @ field[[place[int(i)] for i in ids]])
+        return float(field[np.argmin(np.linalg.norm(cloud.X - np.array(probe.at), axis=1))])
+
+    def probe(self, probe: Probe) -> float:
+        """The sampled number of a probe; see ``Probe`` for the quantities."""
+        cloud, c = self.body.cloud, probe.component
+        if probe.quantity == "reaction":
+            assert probe.of is not None
+            return float(self.solver.reaction[probe.of][c])
+        if probe.quantity == "quantile":
+            return quantile(cloud.x[:, c], self.body.mass, probe.share)
+        if probe.quantity == "mean_velocity":
+            return float(self.body.mass @ cloud.v[:, c] / self.body.mass.sum())
+        if probe.quantity == "displacement_error":
+            assert probe.exact is not None
+            error = (cloud.x - cloud.X - probe.exact(cloud.X.T, self.t).T) ** 2
+            return float(np.sqrt(self.body.mass @ error.sum(axis=1) / self.body.mass.sum()))
+        if probe.quantity == "stress":
+            return self._at(probe, self._nodal_stress()[:, c]) if c < 4 else 0.0
+        return self._at(probe, (cloud.x - cloud.X if probe.quantity == "displacement" else cloud.v)[:, c])
+
+    def _nodal_stress(self) -> Array:
+        """Cauchy stress at the nodes (n, 4); of history in triangles the mean around a node."""
+        stress = self.body.laws.cauchy(self.body.history)
+        if self.body.nodal:
+            return stress
+        total, weight = np.zeros((self.body.cloud.n, 4)), np.zeros(self.body.cloud.n)
+        area = self.body.triangles.volume
+        for k in range(3):
+            np.add.at(total, self.body.cells[:, k], area[:, None] * stress)
+            np.add.at(weight, self.body.cells[:, k], area)
+        return total / np.maximum(weight, 1e-300)[:, None]
+
+    def energy(self) -> dict[str, float]:
+        v = self.body.cloud.v
+        kinetic = float(0.5 * self.body.mass @ np.sum(v**2, axis=1))
+        return {"kinetic": kinetic, "internal": self.solver.internal, "external": self.solver.external}
+
+    def checks(self) -> dict[str, float | None]:
+        """Drift of mass and volume, and the largest force out of balance, relative."""
+        mass = abs(float(self.body.mass.sum()) / self.body.start["mass"] - 1.0)
+        return {"mass": mass, "momentum": self.solver.imbalance, "volume": self.body.volume() / self.body.start["volume"] - 1.0}
+
+    def size(self) -> dict[str, int]:
+        return {"dofs": 2 * self.body.cloud.n, "cells": len(self.body.cells), "points": self.body.domains.n}
+
+    def savings(self) -> dict[str, float]:
+        return {}
+
+    def functions(self) -> list[Any]:
+        return []
+
+    def snapshot(self) -> dict[str, Any]:
+        """See ``Model.snapshot``; on rank 0."""
+        if self.comm.rank:
+            return {}
+        cloud = self.body.cloud
+        out: dict[str, Any] = {
+            "points": np.column_stack([cloud.x, np.zeros(cloud.n)]), "cells": self.body.cells, "cell": "triangle",
+            "displacement": cloud.x - cloud.X, "velocity": cloud.v, "stress": self._nodal_stress(),
+        }  # fmt: skip
+        polygons = []
+        for rigid in self.scene.rigids:
+            p = np.array(rigid.shape.points) + (np.array(rigid.motion(self.t)) if rigid.motion else 0.0)
+            polygons += [p, p[:1], np.full((1, 2), np.nan)]
+        if polygons:
+            out["rigid"] = np.concatenate(polygons[:-1])
+        return out
+
+
+def refuses_solid(scene: Scene) -> str | None:
+    """Why the solids of this scene are not for pfem, in a sentence; None if they are."""
+    if scene.plane != "plane_strain":
+        return "pfem has solids in plane strain only"
+    if any(load.kind not in ("gravity", "body") for load in scene.loads):
+        return "pfem takes no boundary traction on solids yet"
+    if any(isinstance(support.where, str) for support in scene.supports):
+        return "pfem needs supports as predicates of position, not as groups of a mesh file"
+    if scene.cracks or scene.growth:
+        return "pfem has no cracks"
+    small = scene.strain == "small"
+    for region in scene.regions:
+        law = materials.LAWS[region.material.law]
+        if not (law.small if small else law.finite):
+            return f"{law.name} has no form of {scene.strain} strain"
+    return None
+
+
+def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bool = True, stabilisation: float = STABILISATION,
+                grading: float | None = None, steps: int | None = None, tolerance: float | None = None) -> SolidModel:  # fmt: skip
+    """The model of a scene of solids.
+
+    n : cells across the scene's length. state : where history lives, nodal or points (in the triangles).
+    cured : of points, whether the change of volume is averaged around nodes against locking.
+    stabilisation : see ``Body``. grading : of the first mesh towards the scene's singular points, as of fem.
+    steps : load steps of a scene without inertia. tolerance : of Newton's method, 1e-9, and 1e-5 for plastic laws.
+
+    Raises ``Mistake`` for a knob or a material out of range.
+    """
+    state = state or "nodal"
+    if state not in STATES:
+        raise unknown("state", state, STATES)
+    for name, value in (("n", n), ("steps", steps)):
+        if value is not None and (not isinstance(value, int) or value < 1):
+            raise Mistake(f"knob {name} = {value!r}: give a whole number, at least 1")
+    if not stabilisation >= 0:
+        raise Mistake(f"knob stabilisation = {stabilisation:g} must not be negative")
+    for region in scene.regions:
+        materials.check(region.material, f"region {region.name!r}")
+    plastic = any(materials.LAWS[region.material.law].history for region in scene.regions)
+    grading = grading if grading is not None else (2.0 if plastic and scene.strain == "small" else 1.0)
+    comm = MPI.COMM_WORLD
+
+    def made() -> Any:
+        mesh = meshes.serial(scene, n, "triangle", grading)
+        return solid_body.start(scene, mesh.points, mesh.cells, mesh.regions, scene.length / n)
+
+    cloud, cells = comm.bcast(on_root(comm, made))
+    body = Body(scene, cloud, cells, state, cured, stabilisation, comm)
+    steps = steps or 10
+    return SolidModel(scene, body, Static(body, scene.t_end / steps, tolerance or (1e-5 if plastic else 1e-9)))
