@@ -24,6 +24,7 @@ SLOW = 0.3
 
 ROUNDING = 1e-9
 """Changes of the velocity below this fraction of what gravity gives in a step are rounding: a fluid at rest has no other scale."""
+Adjust = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 
 
 class FluidSystem:
@@ -55,7 +56,7 @@ class FluidSystem:
         with phase("sparsity"):
             self.matrix = Matrix(matrix_form)
         self.solver = FlowSolver(self.matrix, self.velocity_dofs, self.pressure_dofs, self.owned_dofs, comm)
-        self.factorisations = 0
+        self.factorisations = self.iterations = 0
 
     def _number(self, at: Array) -> None:
         """Which dofs belong to which node of the cloud."""
@@ -89,21 +90,26 @@ class FluidSystem:
             self.scalar_nodes[geometry.ravel()] = first.dofmap.list.ravel()
 
     # --- what goes in and out -------------------------------------------------------------------------------------
-    def set_start(self, x: Array, v: Array, p: Array) -> None:
-        """Take the state of all nodes at the beginning of the step; the first guess is that nothing changes."""
-        self.start = x[self.nodes]
+    def set_start(self, x: Array, v: Array, p: Array, theta: float) -> None:
+        """Take the state of all nodes at the beginning of the step; the first guess is that nothing changes.
+
+        Bubbles of MINI elements go on from the step before on this mesh, theta that of the scheme.
+        """
+        self.start, self.count = x[self.nodes], len(x)
+        self.w0.x.array[:] += (self.w.x.array - self.w0.x.array) / theta
         self.w0.x.array[self.velocity_dofs] = v[self.nodes]
         self.w0.x.array[self.pressure_dofs] = p[self.nodes]
         self.w.x.array[:] = self.w0.x.array
 
-    def tie(self, spring: Array | None, pull: Array | None, volume: Array) -> None:
-        """Springs (n, gdim, gdim) (N s/m) and forces (n, gdim) (N) at the nodes; volume (n,): that of the nodes (m3), lumped."""
-        share = volume[self.nodes]
+    def _tie(self, adjust: Adjust, way: float, force: Array) -> None:
+        """Springs and forces of nodes in the present configuration. Collective."""
         gdim = self.gdim
-        if spring is not None:
-            self.spring.x.array.reshape(-1, gdim * gdim)[self.scalar_nodes] = spring[self.nodes].reshape(-1, gdim * gdim) / share[:, None]
-        if pull is not None:
-            self.pull.x.array.reshape(-1, gdim)[self.scalar_nodes] = pull[self.nodes] / share[:, None]
+        local = np.column_stack([self.start + way * self.velocity(), self.velocity(), force[self.velocity_dofs]])
+        x, u, out = np.split(self.everywhere(self.count, local), 3, axis=1)
+        spring, pull, volume = adjust(x, u, out)
+        share = volume[self.nodes, None]
+        self.spring.x.array.reshape(-1, gdim * gdim)[self.scalar_nodes] = spring[self.nodes].reshape(-1, gdim * gdim) / share
+        self.pull.x.array.reshape(-1, gdim)[self.scalar_nodes] = pull[self.nodes] / share
 
     def everywhere(self, count: int, local: Array) -> Array:
         """Values (local nodes, ...) of owned nodes as an array (count, ...) of all nodes on every rank. Collective."""
@@ -135,11 +141,11 @@ class FluidSystem:
         return vector.array
 
     def solve(self, dt: float, theta: float, way: float, held: Array, tolerance: float,
-              adjust: Callable[[], None] | None = None) -> None:  # fmt: skip
+              adjust: Adjust | None = None) -> None:  # fmt: skip
         """Find w: the velocity and pressure at t + theta dt, on the configuration at t + way dt.
 
-        held : (n, gdim) bool, velocity components of the cloud's nodes that are zero. adjust : called on every new
-        configuration, to give springs and forces of nodes (``tie``) that depend on it. Raises ``Breakdown`` (newton).
+        held : (n, gdim) bool, velocity components of the cloud's nodes that are zero. adjust : (places, velocities, forces
+        out of balance of all nodes) -> springs (N s/m), forces (N) and volumes (m2 or m3) of all nodes in the present iteration. Raises ``Breakdown`` (newton).
         """
         self.constants["dt"].value = theta * dt
         fixed = self.velocity_dofs[held[self.nodes]]
@@ -148,17 +154,20 @@ class FluidSystem:
         bcs = self._conditions(held[self.nodes])
         rounding = ROUNDING * dt * float(np.linalg.norm(self.constants["gravity"].value))
         last, refactor = np.inf, True
-        for self.its in range(MAX_ITERATIONS):
+        rest = np.zeros(self.w.x.array.size)
+        for _ in range(MAX_ITERATIONS):
             self.place(way * dt)
             if adjust is not None:
-                adjust()
+                self._tie(adjust, way * dt, rest)
             with phase("assemble"):
-                rest = self.residual()[: self.owned_dofs]
-                rest[rows] = 0.0
+                rest = self.residual()
+                unbalanced = rest[: self.owned_dofs].copy()
+                unbalanced[rows] = 0.0
                 if refactor:
                     self.matrix.assemble(bcs)
-            change = self.solver.solve(-rest, refactor)
+            change = self.solver.solve(-unbalanced, refactor)
             self.factorisations += refactor
+            self.iterations += 1
             self.w.x.array[: self.owned_dofs] += change
             self.w.x.scatter_forward()
             moved, speed = self._largest(change)
