@@ -101,7 +101,7 @@ class Flow:
         self.factorisations += system.factorisations
         self.linear += system.solver.iterations
         self.iterations += system.iterations
-        system.factorisations = system.solver.iterations = 0
+        system.factorisations = system.solver.iterations = system.iterations = 0
         return u, p
 
     def powers(self) -> Array:
