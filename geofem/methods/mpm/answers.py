@@ -125,6 +125,8 @@ class Places:
         if probe.quantity == "largest_speed":
             own = max(float(np.sum(b.own("v") ** 2, axis=1).max(initial=0.0)) for b in bodies)
             return math.sqrt(self.comm.allreduce(own, op=MPI.MAX))
+        if probe.quantity == "volume":
+            return float(self.comm.allreduce(sum(float(b.own("volume") @ b.jacobian()) for b in bodies)))
         if probe.quantity == "pressure_error":
             return self._pressure_error(probe, bodies, t)
         if probe.quantity == "displacement_error":
