@@ -38,7 +38,7 @@ class Pfem:
         laws = {region.material.law for region in scene.regions}
         if laws & FLUIDS and laws - FLUIDS:
             return "pfem has no scenes of fluids and solids together yet"
-        return fluid.refuses(scene) if laws & FLUIDS else solid_model.refuses(scene)
+        return fluid.refuses(scene) if laws & FLUIDS else solid_model.refuses_solid(scene)
 
     def build(
         self,
@@ -98,10 +98,12 @@ class Pfem:
         told: dict[str, Any] = {name: value for name, value in locals().items() if name not in ("self", "scene")}
         kind = "fluids" if scene.regions[0].material.law in FLUIDS else "solids"
         idle = ONLY["solids" if kind == "fluids" else "fluids"]
-        defaults = Pfem.build.__kwdefaults__
+        defaults = Pfem.build.__kwdefaults__ or {}
         for name in idle:
             if told[name] != defaults[name]:
-                raise Mistake(f"knob {name} = {told[name]!r}: says nothing to scenes of {kind}, and {scene.name} is one; leave it out")
+                raise Mistake(
+                    f"knob {name} = {told[name]!r}: says nothing to scenes of {kind}, and {scene.name} is one; leave it out"
+                )
         own = {name: value for name, value in told.items() if name not in idle}
         if kind == "fluids":
             return fluid.build_fluid(scene, **own)

@@ -48,6 +48,8 @@ class Places:
         c = probe.component
         if probe.quantity == "largest_speed":
             return float(np.linalg.norm(cloud.v, axis=1).max())
+        if probe.quantity == "volume":
+            return float(lumped(cloud, cells).sum())
         if probe.quantity in ("quantile", "mean_velocity", "displacement_error", "pressure_error"):
             volume = lumped(cloud, cells)
             if probe.quantity == "quantile":

@@ -61,7 +61,10 @@ class FlowSolver:
         pc.setFieldSplitIS(("u", sets[0]), ("p", sets[1]))
 
     def solve(self, rhs: Array, renew: bool) -> Array:
-        """A^-1 rhs for the owned dofs; ``renew``: the matrix is a new one, else the factors of before serve. Raises ``Breakdown`` (newton)."""
+        """A^-1 rhs for the owned dofs. Raises ``Breakdown`` (newton).
+
+        renew : the matrix is a new one; else the factors of before serve.
+        """
         with phase("solve"):
             self._b.array[:] = rhs
             try:

@@ -67,9 +67,9 @@ def build_fluid(
         ("theta", theta, 0.5, 1.0), ("alpha", alpha, 0.5, 10.0), ("cfl", cfl, 1e-4, 100.0), ("jitter", jitter, 0.0, 0.3),
         ("stabilisation", stabilisation, 0.0, 1e3), ("tolerance", tolerance, 1e-14, 1e-1), ("dt", longest, 1e-300, scene.t_end),
     )  # fmt: skip
-    for name, value, low, high in limits:
-        if not low <= value <= high:
-            raise Mistake(f"knob {name} = {value:g}: must lie in [{low:g}, {high:g}]")
+    for name, number, low, high in limits:
+        if not low <= number <= high:
+            raise Mistake(f"knob {name} = {number:g}: must lie in [{low:g}, {high:g}]")
     for region in scene.regions:
         materials.check(region.material, f"region {region.name!r}")
         if not region.material.density > 0:

@@ -23,7 +23,20 @@ from geofem.core import JIT
 ELEMENTS = ("p1p1", "mini")
 VISCOSITIES = ("newtonian", "bingham", "mu_i")
 CELL = {2: "triangle", 3: "tetrahedron"}
-CONSTANTS = ("dt", "viscosity", "density", "compliance", "tau", "source", "yield_stress", "growth", "mu_s", "mu_2", "I_0", "grain")
+CONSTANTS = (
+    "dt",
+    "viscosity",
+    "density",
+    "compliance",
+    "tau",
+    "source",
+    "yield_stress",
+    "growth",
+    "mu_s",
+    "mu_2",
+    "I_0",
+    "grain",
+)
 """``dt`` is that of the unknown, theta dt (s); compliance 1 / K (1/Pa), 0 if incompressible; source: relative volume made (1/s);
 growth: exponent m of Papanastasiou (s); grain: d sqrt(rho_s) (kg^1/2 m^-1/2)."""
 LEAST_RATE = 1e-6
@@ -57,9 +70,7 @@ class FlowForms:
         coefficients = {getattr(self, name): function for name, function in functions.items()}
         named = {self.constants[name]: constants[name] for name in self.constants} | {self.gravity: constants["gravity"]}
         cells = np.arange(space.mesh.topology.index_map(space.mesh.topology.dim).size_local, dtype=np.int32)
-        return fem.create_form(
-            form, [space] * spaces, space.mesh, {fem.IntegralType.cell: [(1, cells)]}, coefficients, named
-        )
+        return fem.create_form(form, [space] * spaces, space.mesh, {fem.IntegralType.cell: [(1, cells)]}, coefficients, named)
 
 
 @cache
@@ -72,7 +83,9 @@ def flow_forms(gdim: int, element: str, viscosity: str, springs: bool) -> FlowFo
         mixed = basix.ufl.element("Lagrange", cell, 1, shape=(gdim + 1,))
     else:
         bubble = basix.ufl.element("Bubble", cell, gdim + 1)
-        mixed = basix.ufl.mixed_element([basix.ufl.blocked_element(basix.ufl.enriched_element([linear, bubble]), (gdim,)), linear])
+        mixed = basix.ufl.mixed_element(
+            [basix.ufl.blocked_element(basix.ufl.enriched_element([linear, bubble]), (gdim,)), linear]
+        )
     space = ufl.FunctionSpace(domain, mixed)
     w, w0 = ufl.Coefficient(space), ufl.Coefficient(space)
     spring = ufl.Coefficient(ufl.FunctionSpace(domain, basix.ufl.element("Lagrange", cell, 1, shape=(gdim, gdim))))
@@ -125,9 +138,7 @@ def flow_forms(gdim: int, element: str, viscosity: str, springs: bool) -> FlowFo
         return fem.compile_form(MPI.COMM_WORLD, form, jit_options=JIT)
 
     powers = tuple(compiled(form) for form in (viscous, stab) if form is not None)
-    return FlowForms(
-        domain, mixed, w, w0, c, gravity, spring, pull, compiled(left(u, p, v, q)), compiled(residual), powers
-    )
+    return FlowForms(domain, mixed, w, w0, c, gravity, spring, pull, compiled(left(u, p, v, q)), compiled(residual), powers)
 
 
 def effective_viscosity(viscosity: str, c: dict[str, Any], rate: Any, p: Any, h: Any) -> Any:

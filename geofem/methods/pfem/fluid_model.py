@@ -64,7 +64,9 @@ class FluidModel:
         fall = (-speed + np.sqrt(speed**2 + 2 * gravity * way)) / gravity if gravity > 0 else way / np.maximum(speed, 1e-300)
         limit = float(fall.min())
         if self.flow.tension:
-            limit = min(limit, float(np.sqrt(self.flow.density * self.cloud.size.min() ** 3 / (2 * math.pi * self.flow.tension))))
+            limit = min(
+                limit, float(np.sqrt(self.flow.density * self.cloud.size.min() ** 3 / (2 * math.pi * self.flow.tension)))
+            )
         return min(limit, self._longest, self._limit)
 
     def step(self, dt: float) -> None:
@@ -95,7 +97,11 @@ class FluidModel:
             self._stale = False
         self.obstacles.follow(self.t, dt)
         u, p = self.flow.solve(cloud, mesh, self.obstacles, self.t, dt)
-        for name, counted in (("newton", self.flow.iterations), ("linear", self.flow.linear), ("factorisations", self.flow.factorisations)):
+        for name, counted in (
+            ("newton", self.flow.iterations),
+            ("linear", self.flow.linear),
+            ("factorisations", self.flow.factorisations),
+        ):
             self.work[name] = counted
         with phase("move"):
             before = volumes(cloud.x, mesh.cells)
@@ -133,7 +139,9 @@ class FluidModel:
         with phase("remesh"):
             made = on_root(self.comm, lambda: self._remesh(dt))
             if self.comm.size > 1:
-                self.cloud, self.budget, made = self.comm.bcast((self.cloud, self.budget, made) if self.comm.rank == 0 else None)
+                self.cloud, self.budget, made = self.comm.bcast(
+                    (self.cloud, self.budget, made) if self.comm.rank == 0 else None
+                )
         if made is not None:
             same = len(made.cells) == len(self.mesh.cells) and bool(np.all(made.parents == np.arange(len(made.cells))))
             self.mesh, self._stale = made, not same
@@ -151,7 +159,9 @@ class FluidModel:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
         if probe.quantity == "reaction":
             return float(answers.reaction(self.obstacles, self.cloud, self.flow.reaction, str(probe.of))[probe.component])
-        return self._places.probe(probe, self.cloud, self.mesh.cells, self.t, -self.cloud.p[:, None] * np.array([1.0, 1, 1, 0, 0, 0]))
+        return self._places.probe(
+            probe, self.cloud, self.mesh.cells, self.t, -self.cloud.p[:, None] * np.array([1.0, 1, 1, 0, 0, 0])
+        )
 
     def energy(self) -> dict[str, float]:
         """Kinetic energy; ``internal`` is what viscosity and the stabilisation have turned into heat, ``external`` the work of gravity."""
@@ -197,7 +207,9 @@ class FluidModel:
         self._energy = {"internal": internal, "external": external}
         self.impulse = np.array(impulse)
         self.work = dict(zip(self.work, state["work"].astype(int).tolist()))
-        self.flow.iterations, self.flow.linear, self.flow.factorisations = (self.work[k] for k in ("newton", "linear", "factorisations"))
+        self.flow.iterations, self.flow.linear, self.flow.factorisations = (
+            self.work[k] for k in ("newton", "linear", "factorisations")
+        )
         cells = state["cells"].astype(np.int64)
         self.mesh = Tessellation(cells, state["facets"].astype(np.int64), np.arange(len(cells)))
         self.flow.reaction = state["reaction"]

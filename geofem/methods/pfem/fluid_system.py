@@ -35,7 +35,9 @@ class FluidSystem:
     x : (n, gdim) nodes of the cloud. tessellation : on rank 0.
     """
 
-    def __init__(self, comm: MPI.Intracomm, forms: FlowForms, x: Array, tessellation: Tessellation | None, values: dict[str, float]):
+    def __init__(
+        self, comm: MPI.Intracomm, forms: FlowForms, x: Array, tessellation: Tessellation | None, values: dict[str, float]
+    ):
         self.comm, self.forms = comm, forms
         gdim = self.gdim = x.shape[1]
         with phase("mesh"):
@@ -145,7 +147,8 @@ class FluidSystem:
         """Find w: the velocity and pressure at t + theta dt, on the configuration at t + way dt.
 
         held : (n, gdim) bool, velocity components of the cloud's nodes that are zero. adjust : (places, velocities, forces
-        out of balance of all nodes) -> springs (N s/m), forces (N) and volumes (m2 or m3) of all nodes in the present iteration. Raises ``Breakdown`` (newton).
+        out of balance of all nodes) -> springs (N s/m), forces (N) and volumes (m2 or m3) of all nodes in the present iteration.
+        Raises ``Breakdown`` (newton).
         """
         self.constants["dt"].value = theta * dt
         fixed = self.velocity_dofs[held[self.nodes]]
@@ -178,7 +181,9 @@ class FluidSystem:
                 return
             refactor = moved > SLOW * last
             last = moved
-        raise Breakdown("newton", f"the configuration did not settle in {MAX_ITERATIONS} iterations: change {moved:.1e} m/s of {speed:.1e}")
+        raise Breakdown(
+            "newton", f"the configuration did not settle in {MAX_ITERATIONS} iterations: change {moved:.1e} m/s of {speed:.1e}"
+        )
 
     def _conditions(self, held: Array) -> list[fem.DirichletBC]:
         """Zero velocity components, held (local nodes, gdim)."""
