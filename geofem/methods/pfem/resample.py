@@ -1,0 +1,243 @@
+"""Between two steps: nodes added and removed, the boundary changed, and the cells made anew, with all of it accounted for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
+from geofem.methods.pfem.surface import Rules, change_boundary
+from geofem.methods.pfem.tessellation import Tessellation, Tessellator
+from geofem.scene import Array
+
+
+def edges_of(cells: Array) -> Array:
+    """The edges (k, 2) of cells, once each."""
+    corners = cells.shape[1]
+    pairs = [cells[:, [a, b]] for a in range(corners) for b in range(a + 1, corners)]
+    both = np.sort(np.concatenate(pairs), axis=1)
+    key = np.unique(both[:, 0] * (both.max(initial=0) + 1) + both[:, 1])
+    return np.column_stack(np.divmod(key, both.max(initial=0) + 1))
+
+
+@kernel
+def spare(short, removable, n):  # type: ignore[no-untyped-def]
+    """Nodes (n,) bool to remove so that of each short edge (k, 2), in this order, one end goes; no two that are neighbours."""
+    gone, kept = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    for k in range(len(short)):
+        a, b = short[k]
+        if gone[a] or gone[b]:
+            continue
+        if removable[b] and not kept[b]:
+            gone[b], kept[a] = True, True
+        elif removable[a] and not kept[a]:
+            gone[a], kept[b] = True, True
+    return gone
+
+
+@kernel
+def beside(x, size, who, facets, room):  # type: ignore[no-untyped-def]
+    """Which of the nodes (n,) bool ``who`` are nearer to a boundary edge (k, 2) than ``room`` sizes, (n,) bool."""
+    found = np.zeros(len(x), np.bool_)
+    left, widest = np.empty(len(facets)), 0.0
+    for k in range(len(facets)):
+        xa, xb = x[facets[k, 0], 0], x[facets[k, 1], 0]
+        left[k] = min(xa, xb)
+        widest = max(widest, abs(xa - xb))
+    order = np.argsort(left)
+    left = left[order]
+    for i in range(len(x)):
+        reach = room * size[i]
+        k = np.searchsorted(left, x[i, 0] - reach - widest)
+        while who[i] and not found[i] and k < len(order) and left[k] <= x[i, 0] + reach:
+            a, b = facets[order[k]]
+            k += 1
+            ex, ey, dx, dy = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[i, 0] - x[a, 0], x[i, 1] - x[a, 1]
+            share = min(max((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
+            found[i] = (dx - share * ex) ** 2 + (dy - share * ey) ** 2 < reach**2
+    return found
+
+
+@kernel
+def apart(cells, n):  # type: ignore[no-untyped-def]
+    """Rows (m,) bool of cells, taken in their order, no two of which share a facet."""
+    taken, marked = np.zeros(len(cells), np.bool_), np.zeros(n, np.bool_)
+    for c in range(len(cells)):
+        shared = 0
+        for i in cells[c]:
+            shared += marked[i]
+        if shared < cells.shape[1] - 1:
+            taken[c] = True
+            for i in cells[c]:
+                marked[i] = True
+    return taken
+
+
+def removable(cloud: Cloud, cells: Array, facets: Array, held: Array, rules: Rules) -> Array:
+    """Interior nodes (n,) bool that are too near to others or to the boundary."""
+    inner = np.zeros(cloud.n, bool)
+    inner[cells] = True
+    inner[facets] = False
+    inner &= ~held.any(axis=1) & (cloud.carried == 0)
+    edges = edges_of(cells)
+    a, b = edges.T
+    length = np.linalg.norm(cloud.x[a] - cloud.x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
+    short = np.flatnonzero(length < rules.fine)
+    gone = spare(edges[short[np.argsort(length[short], kind="stable")]], inner, cloud.n)
+    if rules.boundary:
+        gone |= beside(cloud.x, cloud.size, inner, facets, rules.beside)
+    return gone
+
+
+def too_big(cloud: Cloud, cells: Array, rules: Rules) -> Array:
+    """Rows of the cells that get a node in their middle, no two of them neighbours."""
+    gdim = cloud.x.shape[1]
+    regular = np.sqrt(3) / 4 if gdim == 2 else np.sqrt(2) / 12
+    size = cloud.size[cells].mean(axis=1)
+    excess = volumes(cloud.x, cells) / (rules.big * regular * size**gdim)
+    middle = cloud.x[cells].mean(axis=1)
+    room = np.linalg.norm(cloud.x[cells] - middle[:, None], axis=2).min(axis=1) > rules.fine * size
+    rows = np.flatnonzero((excess > 1) & room)
+    rows = rows[np.argsort(-excess[rows], kind="stable")]
+    return rows[apart(cells[rows], cloud.n)]
+
+
+@dataclass
+class Momenta:
+    """int v over cells (m, gdim) and flying nodes, by the ids of their nodes."""
+
+    cells: Array
+    of_cells: Array
+    flying: Array
+    of_flying: Array
+
+    @classmethod
+    def of(cls, cloud: Cloud, cells: Array) -> Momenta:
+        flies = cloud.carried > 0
+        share = volumes(cloud.x, cells)[:, None] * cloud.v[cells].mean(axis=1)
+        return cls(cloud.id[cells], share, cloud.id[flies], cloud.carried[flies, None] * cloud.v[flies])
+
+
+def balance(cloud: Cloud, tessellation: Tessellation, before: Momenta, links: Array, blocked: Array) -> None:
+    """Change velocities so that each patch of cells that were made anew has the momentum that was there before.
+
+    A patch is cells, old and new, that hang together by nodes. links (k, 2): ids of nodes that belong to one patch.
+    blocked (n, gdim) bool: components that obstacles prescribe.
+    """
+    now = Momenta.of(cloud, tessellation.cells)
+    old, new = np.ones(len(before.cells), bool), np.ones(len(now.cells), bool)
+    same = np.flatnonzero(tessellation.parents >= 0)
+    same = same[(before.of_cells[tessellation.parents[same]] == now.of_cells[same]).all(axis=1)]
+    old[tessellation.parents[same]], new[same] = False, False
+    groups = [before.cells[old], now.cells[new]]
+    n = cloud.next_id
+    pairs = np.concatenate([np.column_stack([g[:, 0], g[:, k]]) for g in groups for k in range(1, g.shape[1])] + [links])
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    patches, patch = connected_components(graph, directed=False)
+    missing = np.zeros((patches, cloud.x.shape[1]))
+    for sign, nodes, momenta in (
+        (1, before.cells[old][:, 0], before.of_cells[old]),
+        (1, before.flying, before.of_flying),
+        (-1, now.cells[new][:, 0], now.of_cells[new]),
+        (-1, now.flying, now.of_flying),
+    ):
+        np.add.at(missing, patch[nodes], sign * momenta)
+    mass = lumped(cloud, tessellation.cells)
+    touched = np.zeros(n, bool)
+    touched[pairs] = True
+    for d in range(cloud.x.shape[1]):
+        takes = touched[cloud.id] & ~blocked[:, d] & (mass > 0)
+        where = patch[cloud.id[takes]]
+        total = np.bincount(where, mass[takes], patches)
+        cloud.v[takes, d] += (missing[:, d] / np.where(total > 0, total, 1.0))[where]
+
+
+def tessellate(cloud: Cloud, old: Tessellation, tessellator: Tessellator, rules: Rules) -> Tessellation:
+    """The new cells; what flies has none, unless the tessellator finds the boundary anew."""
+    if not rules.boundary:
+        return tessellator(cloud.x, cloud.size, old)
+    grounded = np.flatnonzero(cloud.carried == 0)
+    number = np.cumsum(cloud.carried == 0) - 1
+    part = Tessellation(number[old.cells], number[old.facets], old.parents)
+    new = tessellator(cloud.x[grounded], cloud.size[grounded], part)
+    return Tessellation(grounded[new.cells], grounded[new.facets], new.parents)
+
+
+def remesh(
+    cloud: Cloud,
+    tessellation: Tessellation,
+    obstacles: Obstacles,
+    tessellator: Tessellator,
+    rules: Rules,
+    budget: Budget,
+    dt: float,
+) -> Tessellation:
+    """New nodes, boundary and cells after a step; dt (s) is the step to come. Mutates the cloud.
+
+    ``parents`` of the answer are rows of the tessellation that was given. Volume is kept but for what the budget says, momentum
+    patch by patch (components at obstacles excepted).
+    """
+    start, booked = Amount.of(cloud, tessellation.cells, budget.gravity), budget.total()
+    before = Momenta.of(cloud, tessellation.cells)
+    facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
+    if rules.boundary:
+        facets, useless, links = change_boundary(cloud, facets, obstacles, rules, dt, budget)
+    links = cloud.id[links]
+    gone = useless | removable(cloud, tessellation.cells, facets, obstacles.held(cloud), rules)
+    whole = ~(gone | (cloud.carried > 0))[tessellation.cells].any(axis=1)
+    rows = np.flatnonzero(whole)
+    number = np.cumsum(~gone) - 1
+    cloud.keep(~gone)
+    old = Tessellation(number[tessellation.cells[rows]], number[facets], rows)
+    new = tessellate(cloud, old, tessellator, rules)
+    big = too_big(cloud, new.cells, rules)
+    if len(big):
+        parents = new.cells[big]
+        cloud.add(parents, np.full(parents.shape, 1 / parents.shape[1]))
+        new = tessellate(cloud, Tessellation(old.cells, new.facets, rows), tessellator, rules)
+    if rules.boundary:  # nodes that the boundary has passed over
+        used = cloud.carried > 0
+        used[new.cells] = True
+        number = np.cumsum(used) - 1
+        cloud.keep(used)
+        new = Tessellation(number[new.cells], number[new.facets], new.parents)
+    new = Tessellation(new.cells, new.facets, np.where(new.parents >= 0, rows[new.parents], -1))
+    touch = obstacles.touch(cloud)
+    balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
+    change = Amount.of(cloud, new.cells, budget.gravity) - start
+    budget.book("resample", change - (budget.total() - booked))
+    return new
+
+
+def needs(cloud: Cloud, tessellation: Tessellation, rules: Rules, dt: float) -> bool:
+    """Whether anything asks for ``remesh``: bad or big cells, edges, fronts that meet within dt (s), something flying."""
+    x, cells, facets = cloud.x, tessellation.cells, tessellation.facets
+    volume = volumes(x, cells)
+    a, b = edges_of(cells).T
+    length = np.linalg.norm(x[a] - x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
+    if (volume <= 0).any() or (length < rules.fine).any() or len(too_big(cloud, cells, rules)):
+        return True
+    if x.shape[1] == 3:
+        square = ((x[cells][:, :, None] - x[cells][:, None]) ** 2).sum(axis=(1, 2, 3)) / 12  # of the mean edge
+        return bool((6 * np.sqrt(2) * volume < np.sin(np.radians(rules.angle)) * square**1.5).any())
+    sides = np.sort(np.linalg.norm(x[cells] - x[np.roll(cells, 1, axis=1)], axis=2), axis=1)
+    if (2 * volume < np.sin(np.radians(rules.angle)) * sides[:, 1] * sides[:, 2]).any():
+        return True
+    if not rules.boundary:
+        return False
+    a, b = facets.T
+    length = np.linalg.norm(x[a] - x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
+    if (length > rules.coarse).any() or (cloud.carried > 0).any():
+        return True
+    node, nxt, prv = link(x, facets)
+    speed = np.linalg.norm(cloud.v - cloud.v[a].mean(axis=0), axis=1)[a].max(initial=0.0)
+    reach = np.minimum(rules.gap * cloud.size + 2 * dt * speed, 1.5 * cloud.size)
+    slot, distance, closing = nearest(x, cloud.v, node, nxt, prv, reach)
+    near = np.minimum(distance[0] - dt * closing[0], distance[1]) < rules.gap * cloud.size[node]
+    return bool(near.any()) or first_crossing(x, node, nxt)[0] >= 0

@@ -1,0 +1,191 @@
+"""Deeds on the loops of the boundary (see ``loops``): fronts that meet, necks that part, short edges, volume given back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geofem.methods.pfem.loops import change, cross, crosses, first_crossing, kernel, nearest, pick_facing, reconnect
+
+MERGE, SEPARATE, RESAMPLE = 0, 1, 2
+"""Kinds of events. An event is a row: kind, area (m2) that was added, and the place x, y (m)."""
+CONTACT = 0.02
+"""Fronts nearer than this part of the size are joined, and necks thinner are cut, however they move."""
+
+
+@kernel
+def uncross(x, node, nxt, prv):  # type: ignore[no-untyped-def]
+    """Reconnect edges that cross each other until none do. Each time the boundary gets shorter, so it ends. Returns events."""
+    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    s, t = first_crossing(x, node, nxt)
+    while s >= 0:
+        a = node[s]
+        events.append((float(MERGE), change(x, node, nxt, s, t), x[a, 0], x[a, 1]))
+        reconnect(node, nxt, prv, s, t)
+        s, t = first_crossing(x, node, nxt)
+    return events
+
+
+@kernel
+def share_obstacle(held, a, b):  # type: ignore[no-untyped-def]
+    """Whether both nodes are held by one obstacle, held (n, k)."""
+    for o in range(held.shape[1]):
+        if held[a, o] and held[b, o]:
+            return True
+    return False
+
+
+@kernel
+def join_and_part(x, v, size, region, held, node, nxt, prv, reach, dt, gap, neck):  # type: ignore[no-untyped-def]
+    """Join fronts that close in on each other, cut necks that get thinner, nearest first. Returns events.
+
+    Fronts are joined below the distance ``gap`` and necks cut below the width ``neck``, both in sizes; fronts that will be half
+    as near within dt (s) are joined at once. reach (n,): how far to look (m).
+    """
+    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    for _ in range(10):
+        slot, distance, closing = nearest(x, v, node, nxt, prv, reach)
+        wanted = np.full(slot.shape, 1e300)
+        for side in range(2):
+            for s in range(len(node)):
+                e = slot[side, s]
+                if node[s] < 0 or e < 0:
+                    continue
+                h, d, c = size[node[s]], distance[side, s], closing[side, s]
+                near = d < CONTACT * h or (c > 0.0 and d < (gap if side == 0 else neck) * h)
+                if near or (side == 0 and c > 0.0 and d - dt * c < 0.5 * gap * h):
+                    wanted[side, s] = d / h
+        done = 0
+        for k in np.argsort(wanted.ravel()):
+            side, s = divmod(int(k), len(node))
+            if wanted[side, s] == 1e300:
+                break
+            t = slot[side, s]
+            if node[s] < 0 or node[t] < 0 or node[s] == node[t] or node[s] == node[nxt[t]]:
+                continue
+            i, a, b = node[s], node[t], node[nxt[t]]
+            if side == 0 and (region[i] != region[a] or share_obstacle(held, a, b)):
+                continue
+            e = pick_facing(x, node, nxt, prv, s, t, 1.0 if side == 0 else -1.0)
+            if e < 0 or (side == 0 and share_obstacle(held, node[e], node[nxt[e]])):
+                continue
+            events.append((float(MERGE if side == 0 else SEPARATE), change(x, node, nxt, e, t), x[i, 0], x[i, 1]))
+            reconnect(node, nxt, prv, e, t)
+            done += 1
+        if done == 0:
+            break
+    return events
+
+
+@kernel
+def collapse(x, size, level, tangent, held, node, nxt, prv, fine):  # type: ignore[no-untyped-def]
+    """Shrink edges shorter than ``fine`` sizes to a node where the area stays what it was; the shortest first.
+
+    level (n,): by how many obstacles a node is held; tangent (n, 2) along which it may slide if by one. Where an obstacle leaves
+    no choice the area changes. Returns pairs of nodes (kept, dropped), and events.
+    """
+    pairs = [(0, 0) for _ in range(0)]
+    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    uses = np.zeros(len(x), np.int64)
+    length = np.full(len(node), 1e300)
+    for s in range(len(node)):
+        if node[s] >= 0:
+            i, j = node[s], node[nxt[s]]
+            uses[i] += 1
+            l = np.hypot(x[j, 0] - x[i, 0], x[j, 1] - x[i, 1])
+            if l < fine * 0.5 * (size[i] + size[j]):
+                length[s] = l
+    for s in np.argsort(length):
+        if length[s] == 1e300:
+            break
+        if node[s] < 0:
+            continue
+        i, j, p, n = node[s], node[nxt[s]], node[prv[s]], node[nxt[nxt[s]]]
+        if uses[i] != 1 or uses[j] != 1 or p == n or p == j:
+            continue
+        cx, cy = x[n, 0] - x[p, 0], x[n, 1] - x[p, 1]
+        area = cross(x, p, i, j) + cross(x, p, j, n)
+        mx, my = 0.5 * (x[i, 0] + x[j, 0]), 0.5 * (x[i, 1] + x[j, 1])
+        keep = i if level[i] >= level[j] else j
+        drop = i + j - keep
+        h = 0.5 * (size[i] + size[j])
+        if level[keep] == 0:
+            c = cx * cx + cy * cy
+            if c < (0.1 * h) ** 2:
+                continue
+            move = (area - ((mx - x[p, 0]) * cy - (my - x[p, 1]) * cx)) / c
+            qx, qy = mx + move * cy, my - move * cx
+        elif level[keep] == 1:
+            if level[drop] == 1:
+                if not share_obstacle(held, i, j):
+                    continue
+                if share_obstacle(held, p, i) and share_obstacle(held, p, j):
+                    keep, drop = j, i
+            straight = level[drop] == 1 and (
+                (keep == j and share_obstacle(held, p, keep)) or (keep == i and share_obstacle(held, keep, n))
+            )
+            qx, qy = x[keep, 0], x[keep, 1]
+            tx, ty = tangent[keep, 0], tangent[keep, 1]
+            slope = tx * cy - ty * cx
+            if not straight and abs(slope) > 0.3 * np.hypot(cx, cy):
+                move = (area - ((qx - x[p, 0]) * cy - (qy - x[p, 1]) * cx)) / slope
+                qx, qy = qx + move * tx, qy + move * ty
+        else:
+            if level[drop] > 1:
+                continue
+            qx, qy = x[keep, 0], x[keep, 1]
+        if (qx - mx) ** 2 + (qy - my) ** 2 > (0.5 * length[s] + 0.3 * h) ** 2:
+            continue
+        ox, oy = x[keep, 0], x[keep, 1]
+        x[keep, 0], x[keep, 1] = qx, qy
+        # Take the dropped corner out of the loop, and put it back if the new edges cross others.
+        u = s if drop == i else nxt[s]
+        before, after = prv[u], nxt[u]
+        nxt[before], prv[after] = after, before
+        node[u] = -1
+        fold = (qx - x[p, 0]) * (x[n, 0] - qx) + (qy - x[p, 1]) * (x[n, 1] - qy) < -0.9 * np.hypot(
+            qx - x[p, 0], qy - x[p, 1]
+        ) * np.hypot(x[n, 0] - qx, x[n, 1] - qy)
+        if fold or crosses(x, node, nxt, p, keep) or crosses(x, node, nxt, keep, n):
+            x[keep, 0], x[keep, 1] = ox, oy
+            node[u], nxt[before], prv[after] = drop, u, u
+            continue
+        pairs.append((keep, drop))
+        uses[keep] = uses[drop] = uses[p] = uses[n] = 2  # once each
+        events.append((float(RESAMPLE), 0.5 * (cross(x, p, keep, n) - area), qx, qy))
+    return pairs, events
+
+
+@kernel
+def give(x, node, nxt, prv, room, start, area):  # type: ignore[no-untyped-def]
+    """Move corners outwards along their normals until the loop's area has grown by ``area`` (m2, inwards if negative).
+
+    Begins at slot ``start`` and goes on both ways until there is room for twice the area and for eight corners; room (n,): how far
+    (m) each node may go, 0 if not at all, from which is taken what it goes. Returns the area that found no room, 0 if all did.
+    """
+    count, one = 1, nxt[start]
+    while one != start:
+        count, one = count + 1, nxt[one]
+    slots, spaces, total = [start for _ in range(0)], [0.0 for _ in range(0)], 0.0
+    left, right = prv[start], start
+    while len(slots) < count and (len(slots) < 8 or total < 2.0 * abs(area)):
+        if len(slots) % 2 == 0:
+            one, right = right, nxt[right]
+        else:
+            one, left = left, prv[left]
+        i, p, n = node[one], node[prv[one]], node[nxt[one]]
+        slots.append(one)
+        spaces.append(0.5 * room[i] * np.hypot(x[n, 0] - x[p, 0], x[n, 1] - x[p, 1]))
+        total += spaces[-1]
+    rest = area
+    for one, space in zip(slots, spaces):
+        i, p, n = node[one], node[prv[one]], node[nxt[one]]
+        chord = np.hypot(x[n, 0] - x[p, 0], x[n, 1] - x[p, 1])
+        if space == 0.0 or chord < 1e-3 * room[i]:
+            continue
+        part = area * (space / total) if total > abs(area) else np.sign(area) * space
+        move = 2.0 * part / chord  # with the chord as the moves before have left it, so that the sum is exact
+        x[i, 0] += move * (x[n, 1] - x[p, 1]) / chord
+        x[i, 1] -= move * (x[n, 0] - x[p, 0]) / chord
+        rest -= part
+        room[i] = max(room[i] - abs(move), 0.0)
+    return rest if abs(rest) > 1e-13 * abs(area) else 0.0

@@ -1,0 +1,204 @@
+"""The boundary of moving bodies without a solver: nodes follow given velocities, and nothing may get lost."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geofem.methods.pfem.budget import KINDS, Amount, Budget
+from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.loops import first_crossing, link
+from geofem.methods.pfem.resample import needs, remesh
+from geofem.methods.pfem.surface import Rules
+from geofem.methods.pfem.tessellation.constrained import Constrained
+from geofem.scene import Box, Material, Region, Scene, Support, Wall
+
+BODY = (Region("body", Box((0, 0), (1, 1)), Material("water")),)
+FLOOR = Wall("floor", lambda x: x[1] <= 0, (0, 1))
+
+
+def disc(centre, radius, h):
+    """Nodes of a disc, about h apart."""
+    angle = np.arange(int(np.ceil(2 * np.pi * radius / h))) * h / radius
+    angle *= 2 * np.pi / (angle[-1] + h / radius)
+    k = int(radius / h) + 2
+    i, j = (g.ravel() for g in np.meshgrid(np.arange(-k, k + 1), np.arange(-k, k + 1)))
+    inner = np.column_stack([h * (i + 0.5 * (j % 2)), 0.87 * h * j])
+    inner = inner[np.linalg.norm(inner, axis=1) < radius - 0.6 * h]
+    return np.concatenate([radius * np.column_stack([np.cos(angle), np.sin(angle)]), inner]) + centre
+
+
+def block(low, high, h):
+    """Nodes of a rectangle, on a square lattice."""
+    i, j = (np.linspace(a, b, round((b - a) / h) + 1) for a, b in zip(low, high))
+    return np.stack(np.meshgrid(i, j), -1).reshape(-1, 2)
+
+
+class Run:
+    """Bodies on their way; after each step all of the bookkeeping is checked."""
+
+    def __init__(self, x, h, walls=(), supports=(), gravity=(0.0, 0.0), velocity=None, rules=None):
+        self.scene = Scene("motion", BODY, 1.0, tuple(supports), walls=tuple(walls))
+        self.cloud = Cloud.at_rest(x, np.full(len(x), h))
+        if velocity is not None:
+            self.cloud.v = velocity(x)
+        self.rules, self.tessellator = rules or Rules(), Constrained(backend="qhull")
+        self.obstacles = Obstacles(self.scene, self.cloud)
+        self.mesh = self.tessellator(self.cloud.x, self.cloud.size, None)
+        self.budget = Budget(np.array(gravity))
+        self.start, self.t = self.amount(), 0.0
+
+    def amount(self):
+        return Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)
+
+    def step(self, dt, velocity=None):
+        cloud, before = self.cloud, self.amount()
+        if velocity is None:
+            cloud.x = cloud.x + dt * cloud.v + 0.5 * dt**2 * self.budget.gravity
+            cloud.v = cloud.v + dt * self.budget.gravity
+        else:
+            middle = cloud.x + 0.5 * dt * velocity(cloud.x, self.t)
+            cloud.v = velocity(middle, self.t + 0.5 * dt)
+            cloud.x = cloud.x + dt * cloud.v
+        self.t += dt
+        self.budget.book("lagrangian", self.amount() - before)
+        self.obstacles.clip(cloud, self.mesh.cells, self.budget)
+        if needs(cloud, self.mesh, self.rules, dt):
+            moved, owed = self.amount(), self.budget.owed[:, 2].sum()
+            self.mesh = remesh(cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
+            now = self.amount()
+            scale = self.start.volume
+            assert abs(now.volume - moved.volume + self.budget.owed[:, 2].sum() - owed) < 1e-12 * scale
+            if not self.scene.walls:
+                assert np.abs(now.momentum - moved.momentum).max() < 1e-12 * scale * max(1.0, np.abs(cloud.v).max())
+        self.check()
+
+    def check(self):
+        cloud, change, booked = self.cloud, self.amount() - self.start, self.budget.total()
+        assert change.volume == pytest.approx(booked.volume, abs=1e-12 * self.start.volume)
+        for name in ("momentum", "kinetic", "potential"):
+            assert getattr(change, name) == pytest.approx(getattr(booked, name), abs=1e-11)
+        # Every node is in a cell or carries volume, and its neighbours are turned the right way.
+        used = np.zeros(cloud.n, bool)
+        used[self.mesh.cells] = True
+        assert (used != (cloud.carried > 0)).all()
+        assert len(np.unique(cloud.id)) == cloud.n
+        assert all(len(a) == cloud.n for a in (cloud.X, cloud.v, cloud.p, cloud.size, cloud.region, *cloud.fields.values()))
+
+    def share(self, kind):
+        return self.budget.of[kind].volume / self.start.volume
+
+
+def vortex(period):
+    """The single vortex that turns back at half time (Rider and Kothe 1998)."""
+
+    def velocity(x, t):
+        a, b = np.pi * x.T
+        swirl = np.column_stack([-(np.sin(a) ** 2) * np.sin(2 * b), np.sin(b) ** 2 * np.sin(2 * a)])
+        return swirl * np.cos(np.pi * t / period)
+
+    return velocity
+
+
+def test_a_filament_is_drawn_out_and_rolled_up_again():
+    run = Run(disc((0.5, 0.75), 0.15, 0.03), 0.03)
+    first = run.cloud.n
+    for _ in range(60):
+        run.step(1 / 30, vortex(2.0))
+    assert all(run.share(kind) == pytest.approx(0, abs=1e-12) for kind in KINDS if kind != "lagrangian")
+    assert run.cloud.next_id > first + 20
+    hull = run.cloud.x[np.unique(run.mesh.facets)] - (0.5, 0.75)
+    assert np.linalg.norm(hull, axis=1) == pytest.approx(0.15, abs=0.01)
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.floats(-0.15, 0.15), st.floats(0.0, 2 * np.pi), st.floats(0.02, 0.5))
+def test_two_drops_become_one_without_volume(offset, turn, courant):
+    c, s = np.cos(turn), np.sin(turn)
+    rotation = np.array([[c, -s], [s, c]])
+    x = np.concatenate([disc((-0.15, 0), 0.12, 0.03), disc((0.15, offset), 0.12, 0.03)]) @ rotation.T
+    left = np.arange(len(x)) < len(x) // 2
+    run = Run(x, 0.03, velocity=lambda x: np.where(left, 1.0, -1.0)[:, None] * rotation[:, 0])
+    while run.t < 0.08:
+        run.step(0.03 * courant)
+    assert run.share("merge") > 1e-4
+    assert run.share("merge") + run.share("restore") == pytest.approx(-run.budget.owed[:, 2].sum(), abs=1e-12)
+    assert first_crossing(run.cloud.x, *link(run.cloud.x, run.mesh.facets)[:2])[0] == -1
+
+
+def test_a_neck_parts():
+    run = Run(disc((0, 0), 0.3, 0.05), 0.05)
+
+    def pull(x, t):
+        return np.column_stack([np.sin(6 * x[:, 0]) / 6, -np.cos(6 * x[:, 0]) * x[:, 1]])
+
+    while run.t < 3.6:
+        run.step(0.03, pull)
+    assert run.share("separate") < 0
+
+
+def test_a_flying_node_comes_back_with_all_that_it_carries():
+    run = Run(block((0, 0), (1, 0.3), 0.05), 0.05, walls=[FLOOR])
+    cloud = run.cloud
+    drop = cloud.add(np.array([[0]]), np.array([[1.0]]))
+    cloud.x[drop], cloud.carried[drop], cloud.v[drop] = (0.52, 0.5), 5e-4, (1.0, -2.0)
+    cloud.fields["held"][drop] = 0.0
+    run.start = run.amount()
+    while (cloud.carried > 0).any():
+        run.step(0.01)
+        assert run.t < 0.3
+    now = run.amount()
+    assert now.volume == pytest.approx(run.start.volume, rel=1e-13)
+    assert now.momentum == pytest.approx(run.start.momentum, rel=1e-12)
+    assert cloud.x[np.unique(run.mesh.facets), 1].max() > 0.3
+
+
+def test_a_piece_too_small_for_a_mesh_flies():
+    x = np.concatenate([disc((0, 0), 0.3, 0.05), [(0.5, 0), (0.52, 0), (0.5, 0.02)]])
+    run = Run(x, 0.05, velocity=lambda x: np.column_stack([0 * x[:, 0], np.where(x[:, 0] > 0.4, 1.0, 0.0)]))
+    run.step(0.001)
+    flies = run.cloud.carried > 0
+    assert run.cloud.carried[flies] == pytest.approx([2e-4])
+    assert run.cloud.v[flies][0] == pytest.approx([0, 1])
+    assert run.cloud.x[flies][0] == pytest.approx([0.5 + 0.02 / 3, 0.001 + 0.02 / 3])
+
+
+def test_a_drop_lands_on_the_floor_and_in_a_corner():
+    walls = [FLOOR, Wall("left", lambda x: x[0] <= 0, (1, 0))]
+    run = Run(disc((0.13, 0.13), 0.1, 0.02), 0.02, walls=walls, velocity=lambda x: np.full(x.shape, -1.0))
+    for _ in range(6):
+        run.step(0.008)
+    assert run.cloud.x.min() >= 0.0
+    touch = run.obstacles.touch(run.cloud)
+    low = run.cloud.x == 0
+    assert (touch.count == low.sum(axis=1)).all() and low.any(axis=0).all()
+    assert (run.cloud.v[low] == 0).all()
+    assert run.budget.of["wall"].momentum.min() > 0
+
+
+def test_walls_and_supports_in_one_place_hold_once():
+    base = Support("base", lambda x: x[1] <= 0, (0, 1))
+    side = Support("side", lambda x: x[0] <= 0, (0,))
+    rough = Wall("rough", lambda x: (x[1] <= 0) & (x[0] > 0.5), (0, 1), friction=0.3)
+    run = Run(block((0, 0), (1, 0.5), 0.125), 0.125, walls=[rough], supports=[base, side])
+    touch, x = run.obstacles.touch(run.cloud), run.cloud.x
+    assert (touch.count == np.where(x[:, 1] == 0, 2, np.where(x[:, 0] == 0, 1, 0))).all()
+    assert run.obstacles.held(run.cloud).sum(axis=0).tolist() == [4, 9, 9, 5]
+
+
+def test_who_pulls_at_a_wall_is_let_go_and_held_again_when_it_comes_back():
+    run = Run(block((0, 0), (1, 0.5), 0.125), 0.125, walls=[FLOOR])
+    cloud, force = run.cloud, np.zeros_like(run.cloud.x)
+    low = cloud.x[:, 1] == 0
+    force[low, 1] = np.where(cloud.x[low, 0] < 0.3, -1.0, 1.0)
+    let = run.obstacles.release(cloud, force, run.mesh.cells)
+    assert (let == (low & (cloud.x[:, 0] < 0.3))).all()
+    cloud.v[let, 1] = 0.1
+    run.start = run.amount()
+    run.step(0.001)
+    assert not run.obstacles.held(cloud)[let].any() and cloud.x[let, 1] == pytest.approx(1e-4)
+    cloud.v[let, 1] = -0.1
+    run.start, run.budget.of = run.amount(), Budget((0, 0)).of
+    run.step(0.001)
+    assert run.obstacles.held(cloud)[let].all() and (cloud.x[let, 1] == 0).all()
