@@ -11,7 +11,7 @@ from geofem import materials
 from geofem.core import mesh as meshes
 from geofem.core import meshing
 from geofem.core.mpi import on_root
-from geofem.methods.mpm.answers import quantile
+from geofem.core.sampling import quantile
 from geofem.methods.pfem import solid_body
 from geofem.methods.pfem.solid_body import STATES, Body
 from geofem.methods.pfem.solid_dynamic import Dynamic
