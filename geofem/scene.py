@@ -226,6 +226,7 @@ class Probe:
         ``quantile`` coordinate ``component`` (m) below which ``share`` of the mass lies: the front of a flow, its height;
         ``mean_velocity`` component of the velocity of the centre of mass;
         ``largest_speed`` largest magnitude of the velocity (m/s) over all nodes or material points;
+        ``volume`` of the bodies now (m2 in the plane, m3);
         ``pressure_error`` root mean square over the body of p - exact(x, t) (Pa) at *present* positions x, exact: (x, t) -> (n,),
         with the pressure p, a third of minus the trace of the stress;
         ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n);

@@ -8,14 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 from geofem import materials, scenes
 from geofem.mistake import Mistake
+from geofem.reference import series, table
 from geofem.scene import Array, Measure, Scene
-from geofem.scenes import hydrostatic, sloshing
+from geofem.scenes import bingham_slump, dam_break, hydrostatic, sloshing, square_drop
 
 CASES: list[tuple[str, dict[str, Any]]] = [
     *[("hydrostatic", knobs) for knobs in ({}, {"dim": 3})],
+    *[("dam_break", {"setup": setup}) for setup in ("martin_moyce", "koshizuka", "obstacle", "solid")],
+    *[("dam_break", {"setup": setup, "end": 0.5}) for setup in ("koshizuka", "obstacle", "solid")],
+    *[("square_drop", knobs) for knobs in ({}, {"shape": "disc"})],
+    *[("bingham_slump", {"B": B}) for B in (0.05, 0.01, 0.1)],
     *[("sloshing", knobs) for knobs in ({}, {"A": 0.001, "nu": 0.0}, {"nu": 0.01})],
 ]
 
@@ -67,8 +73,10 @@ def test_scene_is_sound(name: str, knobs: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize(
     "name, knobs",
-    [("hydrostatic", {"dim": 1}), ("sloshing", {"A": 0.1}), ("sloshing", {"nu": -1e-6}), ("sloshing", {"A": math.nan})],
-)
+    [("hydrostatic", {"dim": 1}), ("sloshing", {"A": 0.1}), ("sloshing", {"nu": -1e-6}), ("sloshing", {"A": math.nan}),
+     ("dam_break", {"setup": "moyce"}), ("dam_break", {"end": 0.01, "setup": "solid"}), ("square_drop", {"shape": "round"}),
+     ("square_drop", {"amplitude": 0.0}), ("bingham_slump", {"B": 0.5}), ("bingham_slump", {"m": 0.0})],
+)  # fmt: skip
 def test_wrong_knob_is_a_mistake_that_names_scene_and_knob(name: str, knobs: dict[str, Any]) -> None:
     with pytest.raises(Mistake, match=f"scene {name}.*{next(iter(knobs))}"):
         made(name, **knobs)
@@ -135,3 +143,110 @@ def test_sloshing_period_of_a_run_without_a_wave_is_unknown() -> None:
 def test_omega_of_sloshing_is_that_of_the_table() -> None:
     period = measure(made("sloshing"), "period").reference
     assert period is not None and period.value == pytest.approx(2 * math.pi / sloshing.OMEGA, rel=1e-14)
+
+
+# --- dam breaks -------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("setup", ["koshizuka", "obstacle"])
+def test_koshizuka_front_is_compared_after_one_shift_of_time(setup: str) -> None:
+    scene, own = made("dam_break", setup=setup), dam_break.SETUPS[setup]
+    source, columns = series(own.table)
+    assert "Koshizuka" in source and np.all(np.diff(columns["T"]) > 0)
+    T = np.linspace(0, own.end, 2001)
+    ahead = np.interp(T + 0.2, columns["T"], columns["Z"])
+    history = {"t": T * own.unit, "front": ahead * own.a, "volume": 1.0 + 0.001 * np.sin(T)}
+    shift, front, volume = (measure(scene, name) for name in ("shift", "front", "volume"))
+    assert shift.value is not None and front.error is not None and volume.value is not None
+    assert shift.value(history) == pytest.approx(0.2, abs=2e-3)
+    assert front.error(history) < 2e-3 < 0.05 < front.error({**history, "front": own.a + 0.6 * (history["front"] - own.a)})
+    assert volume.value(history) == pytest.approx(0.001, rel=1e-5)
+
+
+def test_dam_break_tells_when_the_far_wall_is_reached() -> None:
+    scene, own = made("dam_break", setup="obstacle", end=0.5), dam_break.SETUPS["obstacle"]
+    reach = measure(scene, "reach").value
+    assert reach is not None
+    t = np.linspace(0, 0.5, 101)
+    history = {"t": t, "front": own.a * (1 + 10 * t)}
+    assert reach(history) == pytest.approx(0.28, rel=1e-6)
+    assert math.isnan(reach({**history, "front": own.a * (1 + t)}))
+
+
+def test_solid_dam_break_is_the_first_one_in_a_channel() -> None:
+    flat, solid = made("dam_break"), made("dam_break", setup="solid")
+    (low, high), (low3, high3) = flat.regions[0].shape.bounds, solid.regions[0].shape.bounds
+    assert (low3[0], low3[2], high3[0], high3[2]) == (*low, *high)
+    assert solid.t_end == flat.t_end and len(solid.walls) == len(flat.walls) + 2
+    for wall in flat.walls:
+        twin = next(w for w in solid.walls if w.name == wall.name)
+        x = np.random.default_rng(2).uniform(-0.1, 1.0, (2, 100))
+        assert np.array_equal(wall.where(x), twin.where(np.array([x[0], 0 * x[0], x[1]])))
+
+
+# --- drops ------------------------------------------------------------------------------------------------------------
+def test_drop_frequency_is_that_of_the_energies_of_its_mode() -> None:
+    """r = R (1 + a cos k phi) at constant area: sigma times the length, against the kinetic energy of its potential flow."""
+    R, sigma, rho = square_drop.RADIUS, square_drop.TENSION, square_drop.DENSITY
+    phi = np.linspace(0, 2 * np.pi, 4001)[:-1]
+    for k in (2, 4):
+
+        def surface(a: float, k: int = k) -> float:
+            r, slope = 1 + a * np.cos(k * phi), -a * k * np.sin(k * phi)
+            r, slope = (q / math.sqrt(np.mean(r**2)) for q in (r, slope))
+            return sigma * R * 2 * np.pi * float(np.mean(np.hypot(r, slope)))
+
+        a = 1e-3
+        stiffness = (surface(a) + surface(-a) - 2 * surface(0.0)) / a**2
+        inertia = np.pi * rho * R**4 / k  # twice the kinetic energy for da/dt = 1
+        assert math.sqrt(stiffness / inertia) == pytest.approx(square_drop.omega(k), rel=1e-4)
+
+
+def test_square_and_disc_have_one_area_and_the_disc_starts_as_its_mode() -> None:
+    square, disc = made("square_drop"), made("square_drop", shape="disc", amplitude=0.01)
+    low, high = (np.array(b) for b in square.regions[0].shape.bounds)
+    assert np.prod(high - low) == pytest.approx(math.pi * square_drop.RADIUS**2, rel=1e-14)
+    phi = np.linspace(0, 2 * np.pi, 9)
+    n = np.array([np.cos(phi), np.sin(phi)])
+    assert disc.initial_velocity is not None and square.initial_velocity is None
+    speed = np.sum(n * disc.initial_velocity(square_drop.RADIUS * n), axis=0)
+    assert np.allclose(speed, 0.01 * square_drop.RADIUS * square_drop.omega(2) * np.cos(2 * phi), atol=1e-15)
+
+
+@pytest.mark.parametrize("shape", ["square", "disc"])
+def test_drop_finds_frequency_and_damping(shape: str) -> None:
+    scene = made("square_drop", shape=shape)
+    k = square_drop.MODES[shape]
+    w, rate = square_drop.omega(k), 2 * k * (k - 1) * 1e-6 / square_drop.RADIUS**2
+    t = np.linspace(0, scene.t_end, 401)
+    history = {"t": t, "velocity": np.exp(-rate * t) * np.cos(w * t)}
+    for one in scene.measures:
+        found = one.error(history) if one.error else one.reference.error(one.value(history))  # type: ignore[union-attr, misc]
+        assert found < 1e-3
+
+
+# --- mud --------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("B", [0.01, 0.05, 0.1])
+def test_shapes_of_a_slump_hold_the_column_and_stand_on_their_yield_stress(B: float) -> None:
+    """Lengths over H. The pull of the layer less its weight changes along x by the yield stress of the floor: d(N)/dx = B."""
+    far, flat = bingham_slump.thin(B)
+    near, steep = bingham_slump.yielding(B)
+    e = 0.5 * math.pi * B
+    for x_f, top, pull in ((far, flat, 0.0), (near, steep, e)):
+
+        def h(x: float, x_f: float = x_f, pull: float = pull) -> float:
+            return pull + math.sqrt(pull**2 + 2 * B * (x_f - x))
+
+        def force(x: float, pull: float = pull) -> float:
+            return -0.5 * h(x) ** 2 + pull * h(x)
+
+        assert h(0.0) == pytest.approx(top)
+        assert quad(h, 0, x_f)[0] == pytest.approx(1.0, rel=1e-7)
+        x, step = 0.4 * x_f, 1e-5
+        assert (force(x + step) - force(x - step)) / (2 * step) == pytest.approx(B, rel=1e-6)
+    assert near < far and steep > flat
+
+
+def test_bounds_of_a_slump_at_its_default_are_those_of_the_table() -> None:
+    for k, name in enumerate(("run_out", "height")):
+        found = table("f07_bingham_slump")[name]
+        ends = sorted(theory(0.05)[k] for theory in (bingham_slump.thin, bingham_slump.yielding))
+        assert [found["lower"], found["upper"]] == pytest.approx(ends, rel=1e-12)

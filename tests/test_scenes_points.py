@@ -368,12 +368,15 @@ def test_column_collapse_knows_the_parameters_of_mu_i() -> None:
     materials.check(made("column_collapse", law="mu_i").regions[0].material, "column_collapse")
 
 
+MOYCE = dam_break.SETUPS["martin_moyce"]
+
+
 def run_ahead(by: float, until: float) -> dict[str, Array]:
     """The history of a run that follows the experiment ahead by a time of T = ``by``."""
     _, columns = series("dam_break")
     T, Z = np.append(0.0, columns["T"]), np.append(1.0, columns["Z"])
     t = np.linspace(0, until, 2001)
-    return {"t": t * dam_break.UNIT, "front": np.interp(t + by, T, Z) * dam_break.A}
+    return {"t": t * MOYCE.unit, "front": np.interp(t + by, T, Z) * MOYCE.a}
 
 
 @pytest.mark.parametrize("by", [0.0, 0.3, 0.45])
@@ -388,7 +391,7 @@ def test_dam_break_front_is_compared_after_one_shift_of_time(by: float) -> None:
 def test_dam_break_does_not_shift_away_a_wrong_speed() -> None:
     scene = made("dam_break")
     history = run_ahead(0.3, 6.0)
-    slow = history | {"front": dam_break.A + 0.7 * (history["front"] - dam_break.A)}
+    slow = history | {"front": MOYCE.a + 0.7 * (history["front"] - MOYCE.a)}
     late = run_ahead(-0.5, 6.0)
     assert measure(scene, "front").error(slow) > 0.05 and measure(scene, "front").error(late) > 0.05
 
@@ -418,9 +421,9 @@ def test_dam_break_is_slow_beside_its_sound_and_its_tank_is_long_enough() -> Non
     scene = made("dam_break")
     parameters = scene.regions[0].material.parameters
     sound = math.sqrt(parameters["K"] / scene.regions[0].material.density)
-    assert sound == pytest.approx(10 * 2 * math.sqrt(9.81 * 2 * dam_break.A))
-    assert scene.room.high[0] / dam_break.A > 1 + 2 * 6.0, "Ritter's front does not reach the far wall by T = 6"
-    assert made("dam_break", end=0.5).room.high[0] == pytest.approx(4 * dam_break.A)
+    assert sound == pytest.approx(10 * 2 * math.sqrt(9.81 * 2 * MOYCE.a))
+    assert scene.room.high[0] / MOYCE.a > 1 + 2 * 6.0, "Ritter's front does not reach the far wall by T = 6"
+    assert made("dam_break", end=0.5).room.high[0] == pytest.approx(4 * MOYCE.a)
 
 
 def test_slope_runout_is_the_slope_that_strength_reduction_knows() -> None:

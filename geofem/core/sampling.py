@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from dolfinx import geometry
 from mpi4py import MPI
@@ -9,6 +11,7 @@ from mpi4py import MPI
 from geofem.core.conditions import DisplacementDofs
 from geofem.core.forms import Forms
 from geofem.mistake import Mistake
+from geofem.scene import Array
 
 
 class MaterialPoint:
@@ -60,3 +63,20 @@ class MaterialPoint:
             else:
                 local = float(own.mean())
         return self.comm.allreduce(local, op=MPI.SUM)
+
+
+def quantile(x: Array, mass: Array, share: float) -> float:
+    """The value of x (N,) below which ``share`` of the mass lies, interpolated between points."""
+    if share >= 1.0:
+        return float(x.max())
+    # only the top needs to be in order where the share is close to one
+    top = np.arange(len(x))
+    beyond = (1.0 - share) * mass.sum()
+    count = int(min(len(x), 2 + math.ceil(4.0 * (1.0 - share) * len(x))))
+    if count < len(x):
+        candidates = np.argpartition(x, len(x) - count)[len(x) - count :]
+        if mass[candidates].sum() > 1.5 * beyond:
+            top = candidates
+    order = top[np.argsort(-x[top], kind="stable")]
+    below = np.cumsum(mass[order]) - 0.5 * mass[order]
+    return float(np.interp(beyond, below, x[order]))

@@ -82,6 +82,7 @@ METHODS = {
         "geofem.methods.lagrangian:Fem", "finite elements on a mesh that follows the material (total or updated Lagrangian)"
     ),
     "xfem": Entry("geofem.methods.xfem:Xfem", "finite elements enriched by the jump across cracks and the field of their tips"),
+    "pfem": Entry("geofem.methods.pfem:Pfem", "finite elements on nodes that are the material, tessellated anew as they move"),
     "mpm-linear": Entry("geofem.methods.mpm:LinearMpm", "material points with classical hat functions on a background grid"),
     "mpm-gimp": Entry(
         "geofem.methods.mpm:GimpMpm", "material points with domains: generalised interpolation, uniform or contiguous"

@@ -32,8 +32,8 @@ class Fem:
             return conforming.refuses(scene)
         if any(region.material.parameters.get("surface_tension") for region in scene.regions):
             return "fem has no surface tension; use pfem"
-        if any(probe.quantity in ("largest_speed", "pressure_error") for probe in scene.probes):
-            return "fem measures no largest speed and no error of the pressure"
+        if unknown := {probe.quantity for probe in scene.probes} & {"largest_speed", "pressure_error", "volume"}:
+            return f"fem does not measure {', '.join(sorted(unknown))}"
         laws = {region.material.law for region in scene.regions}
         if scene.plane == "plane_stress" and laws != {"linear_elastic"}:
             return "plane stress is there for linear_elastic only; use plane_strain"

@@ -23,6 +23,7 @@ import numpy as np
 
 from geofem.reference import reference
 from geofem.scene import Array, Box, History, Material, Measure, Probe, Region, Scene, Support
+from geofem.scenes import _waves
 from geofem.scenes._parts import any_of, at_least, at_most, check_number
 
 LENGTH, HEIGHT = 25.0, 25.0 / 16
@@ -30,13 +31,8 @@ PERIODS = 10
 
 
 def period(history: History) -> float:
-    """Twice the mean distance of the zero crossings of ``mean_velocity``, interpolated linearly (s); nan for fewer than two."""
-    t, v = np.asarray(history["t"]), np.asarray(history["mean_velocity"])
-    k = np.flatnonzero(v[:-1] * v[1:] < 0)
-    if len(k) < 2:
-        return float("nan")
-    crossings = t[k] - v[k] * (t[k + 1] - t[k]) / (v[k + 1] - v[k])
-    return float(2 * (crossings[-1] - crossings[0]) / (len(k) - 1))
+    """Of the velocity of the centre of mass (s); nan for a record of less than half a period."""
+    return _waves.period(np.asarray(history["t"]), np.asarray(history["mean_velocity"]))
 
 
 def scene(*, v0: float = 0.1) -> Scene:

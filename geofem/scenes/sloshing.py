@@ -30,6 +30,7 @@ import numpy as np
 
 from geofem.reference import reference
 from geofem.scene import Array, Box, History, Load, Material, Measure, Probe, Region, Scene, Wall
+from geofem.scenes import _waves
 from geofem.scenes._parts import at_least, at_most, check_number
 
 WIDTH, DEPTH, G, DENSITY = 1.0, 0.5, 9.81, 1000.0
@@ -40,36 +41,15 @@ SOUND = 20 * math.sqrt(G * DEPTH)
 PERIODS = 4
 
 
-def crossings(t: Array, v: Array) -> Array:
-    """Where v(t) changes sign, interpolated linearly."""
-    k = np.flatnonzero(v[:-1] * v[1:] < 0)
-    return t[k] - v[k] * (t[k + 1] - t[k]) / (v[k + 1] - v[k])
-
-
 def period(history: History) -> float:
-    """Twice the mean distance of the zero crossings of ``mean_velocity`` (s); nan for fewer than two."""
-    zeros = crossings(np.asarray(history["t"]), np.asarray(history["mean_velocity"]))
-    return float(2 * np.diff(zeros).mean()) if len(zeros) > 1 else math.nan
+    """Of the horizontal velocity of the centre of mass (s)."""
+    return _waves.period(np.asarray(history["t"]), np.asarray(history["mean_velocity"]))
 
 
 def damping(history: History) -> float:
-    """The part of the amplitude that is lost in a period, by least squares over the peaks of ``mean_velocity``; nan for fewer
-    than two. A peak is that of the parabola through the largest sample between two zeros and its neighbours."""
-    t, v = np.asarray(history["t"]), np.abs(np.asarray(history["mean_velocity"]))
-    zeros = crossings(t, np.asarray(history["mean_velocity"]))
-    times, peaks = [], []
-    for a, b in zip(zeros, zeros[1:]):
-        between = np.flatnonzero((a < t) & (t < b))
-        if len(between) < 3:
-            continue
-        i = between[0] + int(v[between].argmax())
-        shape = np.polyfit(t[i - 1 : i + 2] - t[i], v[i - 1 : i + 2], 2)
-        times.append(t[i] - 0.5 * shape[1] / shape[0])
-        peaks.append(shape[2] - 0.25 * shape[1] ** 2 / shape[0])
-    if len(times) < 2:
-        return math.nan
-    rate = float(np.polyfit(times, np.log(peaks), 1)[0])
-    return 1.0 - math.exp(rate * 2 * math.pi / OMEGA)
+    """The part of the amplitude that is lost in a period."""
+    rate = _waves.decay(np.asarray(history["t"]), np.asarray(history["mean_velocity"]))
+    return 1.0 - math.exp(-rate * 2 * math.pi / OMEGA)
 
 
 def scene(*, A: float = 0.005, nu: float = 1e-6) -> Scene:

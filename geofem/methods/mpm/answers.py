@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from geofem.core.sampling import quantile
 from geofem.methods.mpm import grid as g
 from geofem.methods.mpm.contact import Contact
 from geofem.methods.mpm.kind import Kind
@@ -124,6 +125,8 @@ class Places:
         if probe.quantity == "largest_speed":
             own = max(float(np.sum(b.own("v") ** 2, axis=1).max(initial=0.0)) for b in bodies)
             return math.sqrt(self.comm.allreduce(own, op=MPI.MAX))
+        if probe.quantity == "volume":
+            return float(self.comm.allreduce(sum(float(b.own("volume") @ b.jacobian()) for b in bodies)))
         if probe.quantity == "pressure_error":
             return self._pressure_error(probe, bodies, t)
         if probe.quantity == "displacement_error":
@@ -174,23 +177,6 @@ class Places:
         """Values of all bodies on all ranks."""
         own = np.concatenate(parts)
         return np.concatenate(self.comm.allgather(own)) if self.comm.size > 1 else own
-
-
-def quantile(x: Array, mass: Array, share: float) -> float:
-    """The value of x (N,) below which ``share`` of the mass lies, interpolated between points."""
-    if share >= 1.0:
-        return float(x.max())
-    # only the top needs to be in order where the share is close to one
-    top = np.arange(len(x))
-    beyond = (1.0 - share) * mass.sum()
-    count = int(min(len(x), 2 + math.ceil(4.0 * (1.0 - share) * len(x))))
-    if count < len(x):
-        candidates = np.argpartition(x, len(x) - count)[len(x) - count :]
-        if mass[candidates].sum() > 1.5 * beyond:
-            top = candidates
-    order = top[np.argsort(-x[top], kind="stable")]
-    below = np.cumsum(mass[order]) - 0.5 * mass[order]
-    return float(np.interp(beyond, below, x[order]))
 
 
 def domains(body: Body, kind: Kind, h: float) -> dict[str, Array]:

@@ -133,6 +133,8 @@ class Obstacles:
 
     def __init__(self, scene: Scene, cloud: Cloud):
         low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
+        if scene.room is not None:
+            low, high = np.minimum(low, scene.room.low), np.maximum(high, scene.room.high)
         self.planes = [Plane(wall, low, high) for wall in scene.walls]
         self.rigids = [Convex(rigid) for rigid in scene.rigids]
         self.solids: list[Any] = [*self.planes, *self.rigids]

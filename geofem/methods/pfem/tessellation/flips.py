@@ -118,9 +118,11 @@ def flip(cells: Array, across: Array, marks: Array, some: Array, c: int, k: int)
 
 @njit(cache=True, error_model="numpy")
 def mark(cells: Array, across: Array, marks: Array, some: Array, p: int, q: int) -> None:
-    """Hold the edge from p to q: 1 in the triangle on its left, -1 in that on its right."""
+    """Hold the edge from p to q: 1 in the triangle on its left, -1 in that on its right; once each way, it is let go."""
     c, k = facet_of(cells, across, some, p, q)
     sign = 1 if cells[c, (k + 1) % 3] == p else -1
+    if marks[c, k] == -sign:
+        sign = 0
     marks[c, k] = sign
     u = across[c, k]
     if u >= 0:
@@ -264,7 +266,7 @@ def hold(x: Array, cells: Array, across: Array, edges: Array) -> tuple[Array, Ar
 
     Returns marks (m, 3), 1 where the triangle is to the left of the held edge and -1 to its right, 0 for all other edges;
     and which edges (k,) could not be held in full, since they cross one that was before, or end in no triangle. A node on
-    an edge divides it.
+    an edge divides it; an edge that is given once each way has the body on both sides, and is free.
     """
     marks = np.zeros(cells.shape, np.int8)
     some = np.full(len(x), -1, np.int64)

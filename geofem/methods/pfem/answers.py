@@ -1,0 +1,133 @@
+"""What a run asks of nodes: probes, pictures and checkpoints."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from geofem.core.sampling import quantile
+from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.contact import Obstacles
+from geofem.mistake import Mistake
+from geofem.scene import Array, Probe, Scene
+
+
+class Places:
+    """The material points that a scene's probes ask for: the nodes of the cell that held them at the start, and weights."""
+
+    def __init__(self, scene: Scene, cloud: Cloud, cells: Array):
+        self.at: dict[tuple[float, ...], tuple[Array, Array]] = {}
+        for probe in scene.probes:
+            if probe.at is not None and probe.at not in self.at:
+                self.at[probe.at] = self._around(probe, cloud, cells)
+
+    def _around(self, probe: Probe, cloud: Cloud, cells: Array) -> tuple[Array, Array]:
+        corner = cloud.X[cells]
+        edge = (corner[:, 1:] - corner[:, :1]).transpose(0, 2, 1)
+        inner = np.linalg.solve(edge, (np.array(probe.at) - corner[:, 0])[:, :, None])[:, :, 0]
+        weights = np.column_stack([1.0 - inner.sum(axis=1), inner])
+        cell = int(np.argmax(weights.min(axis=1)))
+        if weights[cell].min() < -1e-6:
+            raise Mistake(f"probe {probe.name!r}: the point {probe.at} lies outside the mesh; give a point of the body")
+        return cloud.id[cells[cell]], weights[cell]
+
+    def value(self, at: tuple[float, ...], cloud: Cloud, field: Array) -> float:
+        """A nodal field (n,) at a material point; where its nodes were removed, that of the node nearest in the reference."""
+        ids, weights = self.at[at]
+        order = np.argsort(cloud.id)
+        place = order[np.minimum(np.searchsorted(cloud.id, ids, sorter=order), cloud.n - 1)]
+        if np.array_equal(cloud.id[place], ids):
+            return float(weights @ field[place])
+        return float(field[np.argmin(np.linalg.norm(cloud.X - np.array(at), axis=1))])
+
+    def probe(self, probe: Probe, cloud: Cloud, cells: Array, t: float, stress: Array) -> float:
+        """The value of a probe, but for reactions; stress (n, 6) at the nodes (Pa)."""
+        c = probe.component
+        if probe.quantity == "largest_speed":
+            return float(np.linalg.norm(cloud.v, axis=1).max())
+        if probe.quantity == "volume":
+            return float(lumped(cloud, cells).sum())
+        if probe.quantity in ("quantile", "mean_velocity", "displacement_error", "pressure_error"):
+            volume = lumped(cloud, cells)
+            if probe.quantity == "quantile":
+                return quantile(cloud.x[:, c], volume, probe.share)
+            if probe.quantity == "mean_velocity":
+                return float(volume @ cloud.v[:, c] / volume.sum())
+            assert probe.exact is not None
+            if probe.quantity == "pressure_error":
+                error = (cloud.p - probe.exact(cloud.x.T, t)) ** 2
+            else:
+                error = np.sum((cloud.x - cloud.X - probe.exact(cloud.X.T, t).T) ** 2, axis=1)
+            return math.sqrt(volume @ error / volume.sum())
+        assert probe.at is not None
+        fields = {"displacement": cloud.x - cloud.X, "velocity": cloud.v, "stress": stress}
+        return self.value(probe.at, cloud, fields[probe.quantity][:, c])
+
+
+def reaction(obstacles: Obstacles, cloud: Cloud, force: Array, name: str) -> Array:
+    """Force (gdim,) that an obstacle exerts on the nodes (N); a node in a corner shares it by the normals."""
+    touch = obstacles.touch(cloud)
+    number = obstacles.names.index(name)
+    total = np.zeros(force.shape[1])
+    for row in range(touch.obstacle.shape[1]):
+        who = touch.obstacle[:, row] == number
+        alone = who & (touch.count == 1)
+        total += force[alone].sum(axis=0)
+        shared = who & (touch.count > 1)
+        normal = touch.normals[shared, row]
+        total += (np.einsum("ni,ni->n", force[shared], normal)[:, None] * normal).sum(axis=0)
+    return total
+
+
+def kinetic(cloud: Cloud, cells: Array) -> float:
+    """Integral of v.v / 2 over the cells, exact for linear v, and over what flies."""
+    v = cloud.v[cells]
+    corners = cells.shape[1]
+    total = np.sum(v.sum(axis=1) ** 2, axis=1) + np.sum(v**2, axis=(1, 2))
+    mesh = volumes(cloud.x, cells) @ total / (corners * (corners + 1))
+    return 0.5 * float(mesh + cloud.carried @ np.sum(cloud.v**2, axis=1))
+
+
+def snapshot(cloud: Cloud, cells: Array, obstacles: Obstacles) -> dict[str, Any]:
+    """Nodes and cells for pictures, and the outlines of rigid bodies."""
+    n, gdim = cloud.x.shape
+    points = np.zeros((n, 3))
+    points[:, :gdim] = cloud.x
+    out: dict[str, Any] = {
+        "points": points, "cells": cells, "cell": "triangle" if gdim == 2 else "tetra", "displacement": cloud.x - cloud.X,
+        "velocity": cloud.v, "pressure": cloud.p,
+    }  # fmt: skip
+    if obstacles.rigids:
+        gap = np.full((1, 2), np.nan)
+        outlines = [rigid.corners + rigid.shift for rigid in obstacles.rigids]
+        out["rigid"] = np.concatenate([part for o in outlines for part in (o, o[:1], gap)][:-1])
+    return out
+
+
+# --- checkpoints ------------------------------------------------------------------------------------------------------
+def cloud_state(cloud: Cloud) -> dict[str, Array]:
+    """All that a cloud is."""
+    out = {f"cloud_{name}": getattr(cloud, name) for name in Cloud.NAMES}
+    return out | {f"field_{name}": values for name, values in cloud.fields.items()} | {"next_id": np.array(cloud.next_id)}
+
+
+def restore_cloud(cloud: Cloud, state: dict[str, Array]) -> None:
+    for name in Cloud.NAMES:
+        setattr(cloud, name, state[f"cloud_{name}"].copy())
+    cloud.fields = {name: state[f"field_{name}"].copy() for name in cloud.fields}
+    cloud.next_id = int(state["next_id"])
+
+
+def budget_state(budget: Budget) -> dict[str, Array]:
+    """All that a budget is."""
+    rows = [[a.volume, *a.momentum, a.kinetic, a.potential] for a in budget.of.values()]
+    return {"budget": np.array(rows), "owed": budget.owed}
+
+
+def restore_budget(budget: Budget, state: dict[str, Array]) -> None:
+    for name, row in zip(budget.of, state["budget"]):
+        budget.of[name] = Amount(float(row[0]), row[1:-2].copy(), float(row[-2]), float(row[-1]))
+    budget.owed = state["owed"].copy()

@@ -1,0 +1,101 @@
+"""From a scene of fluid to its model: knobs checked, first nodes, walls of particles where they are asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem import materials
+from geofem.core import mesh as meshes
+from geofem.core.mpi import on_root
+from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.flow import CONFIGURATIONS, Scheme
+from geofem.methods.pfem.fluid_forms import ELEMENTS
+from geofem.methods.pfem.fluid_model import FluidModel
+from geofem.methods.pfem.surface import Rules
+from geofem.methods.pfem.tessellation import Tessellation, Tessellator, simplices
+from geofem.methods.pfem.tessellation.alpha import AlphaShape
+from geofem.methods.pfem.tessellation.common import finished
+from geofem.methods.pfem.tessellation.constrained import Constrained
+from geofem.mistake import Mistake, unknown
+from geofem.scene import Scene
+
+BACKENDS = ("auto", "native", "compas", "qhull")
+FLUIDS = {"newtonian", "bingham", "mu_i"}
+STEPS = 100
+"""At least so many steps a run and a period."""
+
+
+def refuses(scene: Scene) -> str | None:
+    """Why fluids cannot solve the scene."""
+    if not scene.dynamic:
+        return "pfem moves fluids by their inertia: the scene must be dynamic"
+    if len({(r.material.law, r.material.density, tuple(sorted(r.material.parameters.items()))) for r in scene.regions}) > 1:
+        return "pfem flows one material at a time"
+    if any(load.kind == "body" for load in scene.loads):
+        return "pfem drives fluids by gravity, not by a body force"
+    if scene.gdim == 3 and scene.rigids:
+        return "pfem knows rigid bodies in the plane only"
+    return None
+
+
+def build_fluid(
+    scene: Scene, *, n: int, tessellation: str, alpha: float, backend: str, configuration: str, theta: float, cfl: float,
+    dt: float | None, element: str, stabilisation: float | None, tolerance: float | None, compressible: bool, walls: str, jitter: float,
+) -> FluidModel:  # fmt: skip
+    """See ``Pfem.build``."""
+    choices = (
+        ("tessellation", tessellation, ("constrained", "alpha")),
+        ("backend", backend, BACKENDS),
+        ("configuration", configuration, tuple(CONFIGURATIONS)),
+        ("element", element, ELEMENTS),
+        ("walls", walls, ("slide", "fixed")),
+    )
+    for name, value, known in choices:
+        if value not in known:
+            raise unknown(name, value, known)
+    if not isinstance(n, int) or n < 1:
+        raise Mistake(f"knob n = {n!r}: the number of cells across the scene's length is a whole number, at least 1")
+    if not isinstance(compressible, bool):
+        raise Mistake(f"knob compressible = {compressible!r}: is true or false")
+    stabilisation = 1.0 if stabilisation is None else stabilisation
+    tolerance = 1e-6 if tolerance is None else tolerance
+    longest = scene.t_end / STEPS if dt is None else dt
+    if dt is None and scene.period:
+        longest = min(longest, scene.period / STEPS)
+    limits = (
+        ("theta", theta, 0.5, 1.0), ("alpha", alpha, 0.5, 10.0), ("cfl", cfl, 1e-4, 100.0), ("jitter", jitter, 0.0, 0.3),
+        ("stabilisation", stabilisation, 0.0, 1e3), ("tolerance", tolerance, 1e-14, 1e-1), ("dt", longest, 1e-300, scene.t_end),
+    )  # fmt: skip
+    for name, number, low, high in limits:
+        if not low <= number <= high:
+            raise Mistake(f"knob {name} = {number:g}: must lie in [{low:g}, {high:g}]")
+    for region in scene.regions:
+        materials.check(region.material, f"region {region.name!r}")
+        if not region.material.density > 0:
+            raise Mistake(f"region {region.name!r}: a fluid needs a density, in kg/m3")
+    size = scene.length / n
+    maker: Tessellator = AlphaShape(alpha, backend=backend)
+    if tessellation == "constrained":
+        maker = Constrained(alpha, backend=backend)
+    comm = MPI.COMM_WORLD
+    cloud, mesh = comm.bcast(on_root(comm, lambda: first(scene, n, size, jitter, maker)))
+    rules = Rules(boundary=tessellation == "constrained" and scene.gdim == 2)
+    scheme = Scheme(theta, configuration, element, stabilisation, tolerance, compressible)
+    return FluidModel(scene, cloud, mesh, maker, scheme, rules, cfl, longest)
+
+
+def first(scene: Scene, n: int, size: float, jitter: float, maker: Tessellator) -> tuple[Cloud, Tessellation]:
+    """The first nodes and cells; cells are made anew around nodes that were shifted."""
+    made = meshes.serial(scene, n, "triangle" if scene.gdim == 2 else "tetrahedron", 1.0)
+    points, cells = made.points[:, : scene.gdim], made.cells.astype(np.int64)
+    turned = simplices.volumes(points, cells) < 0
+    cells[turned, :2] = cells[turned, 1::-1]
+    cloud = Cloud.at_rest(points, np.full(len(points), size))
+    mesh = finished(simplices.ordered(cells)[0], None)
+    if jitter:
+        inner = np.setdiff1d(np.arange(cloud.n), mesh.facets)
+        cloud.x[inner] += np.random.default_rng(0).uniform(-jitter, jitter, (len(inner), scene.gdim)) * size
+        cloud.X[:] = cloud.x
+        mesh = maker(cloud.x, cloud.size, mesh)
+    return cloud, mesh

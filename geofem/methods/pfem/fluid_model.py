@@ -1,0 +1,218 @@
+"""The particle finite element method for fluids as a model of a scene: steps, remeshing in between, and what a run asks of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from geofem.core.mpi import on_root
+from geofem.cost import phase
+from geofem.methods.pfem import answers
+from geofem.methods.pfem.budget import Amount, Budget, volumes
+from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme, node_volumes
+from geofem.methods.pfem.resample import needs, remesh
+from geofem.methods.pfem.surface import Rules
+from geofem.methods.pfem.tessellation import Tessellation, Tessellator
+from geofem.mistake import Breakdown
+from geofem.scene import Array, Probe, Scene
+
+GROW = 1.5
+"""A step is longer than the one before by this factor at most, once steps had to be cut."""
+SMALLEST = 1e-3
+"""A step is cut no further than to this fraction of what the CFL number allows."""
+FLAT = 0.02
+"""A step is cut where it would leave less than this part of the volume of a cell."""
+
+
+class FluidModel:
+    """A fluid whose nodes are the material; see ``Pfem.build`` for the knobs.
+
+    Nodes and cells are the same on every rank; geometry is made on rank 0, the equations are solved by all.
+    """
+
+    def __init__(self, scene: Scene, cloud: Cloud, mesh: Tessellation, tessellator: Tessellator, scheme: Scheme, rules: Rules,
+                 cfl: float, dt: float):  # fmt: skip
+        self.scene, self.cloud, self.mesh, self.tessellator, self.rules = scene, cloud, mesh, tessellator, rules
+        self.comm = MPI.COMM_WORLD
+        self.cfl, self._longest = cfl, dt
+        self.scheme = scheme
+        self.flow = Flow(self.comm, scene, scheme)
+        self.obstacles = Obstacles(scene, cloud)
+        self.t, self._limit = 0.0, math.inf
+        self.work = {"steps": 0, "newton": 0, "linear": 0, "remeshes": 0, "cuts": 0, "factorisations": 0, "meshes": 0}
+        if scene.initial_velocity is not None:
+            cloud.v[:] = scene.initial_velocity(cloud.X.T).T
+        self.budget = Budget(self.flow.gravity(0.0))
+        self._stale = True
+        self.start = Amount.of(cloud, mesh.cells, self.budget.gravity)
+        self._worst = 0.0
+        self._energy = {"internal": 0.0, "external": 0.0}
+        self.impulse = np.zeros(scene.gdim)
+        self._places = answers.Places(scene, cloud, mesh.cells)
+
+    # --- the step -------------------------------------------------------------------------------------------------
+    def dt(self) -> float:
+        """The step in which no node goes further than ``cfl`` spacings, at its speed and falling freely."""
+        gravity = float(np.linalg.norm(self.flow.gravity(self.t)))
+        speed = np.linalg.norm(self.cloud.v, axis=1)
+        way = self.cfl * self.cloud.size
+        fall = (-speed + np.sqrt(speed**2 + 2 * gravity * way)) / gravity if gravity > 0 else way / np.maximum(speed, 1e-300)
+        limit = float(fall.min())
+        if self.flow.tension:
+            limit = min(
+                limit, float(np.sqrt(self.flow.density * self.cloud.size.min() ** 3 / (2 * math.pi * self.flow.tension)))
+            )
+        return min(limit, self._longest, self._limit)
+
+    def step(self, dt: float) -> None:
+        """Advance by dt, or by less where cells would turn over. Raises ``Breakdown`` with the last good state kept."""
+        first = dt
+        while True:
+            try:
+                self._advance(dt)
+                break
+            except Breakdown as end:
+                self.work["cuts"] += 1
+                dt *= 0.5
+                if dt < SMALLEST * first:
+                    raise Breakdown(end.cause, f"{end}; at t = {self.t:.4g}, after cutting the step to {dt:.1e} s") from None
+        self.t += dt
+        self.work["steps"] += 1
+        self._limit = GROW * dt if dt < first or self._limit < math.inf else math.inf
+        if self._limit >= self._longest:
+            self._limit = math.inf
+        self._retessellate(dt)
+
+    def _advance(self, dt: float) -> None:
+        """Solve for a step, and move the nodes if no cell turns over. Collective."""
+        cloud, mesh = self.cloud, self.mesh
+        if self._stale:
+            self.flow.renew(cloud.x, mesh if self.comm.rank == 0 else None)
+            self.work["meshes"] += 1
+            self._stale = False
+        self.obstacles.follow(self.t, dt)
+        u, p = self.flow.solve(cloud, mesh, self.obstacles, self.t, dt)
+        for name, counted in (
+            ("newton", self.flow.iterations),
+            ("linear", self.flow.linear),
+            ("factorisations", self.flow.factorisations),
+        ):
+            self.work[name] = counted
+        with phase("move"):
+            before = volumes(cloud.x, mesh.cells)
+            after = volumes(cloud.x + dt * u, mesh.cells)
+            if (after <= FLAT * np.minimum(before, np.mean(before))).any() and (after <= FLAT * before).any():
+                raise Breakdown("tangle", f"a cell would keep {float((after / before).min()):.2g} of its volume in a step")
+            self._move(dt, u, p, before, after)
+
+    def _move(self, dt: float, u: Array, p: Array, before: Array, after: Array) -> None:
+        cloud, mesh, theta = self.cloud, self.mesh, self.scheme.theta
+        gravity = self.flow.gravity(self.t + theta * dt)
+        flying = cloud.carried > 0
+        new = cloud.v + (u - cloud.v) / theta
+        way = CONFIGURATIONS[self.scheme.configuration]
+        mass = self.flow.density * node_volumes(cloud.x + way * dt * u, mesh.cells)
+        powers = self.flow.powers()
+        self._energy["internal"] += dt * float(powers.sum())
+        work = float((mass[:, None] * gravity * u).sum()) + float((self.flow.reaction * u).sum())
+        flown = self.flow.density * cloud.carried
+        fall = cloud.v * dt + 0.5 * dt * dt * gravity
+        self._energy["external"] += dt * work + float((flown[:, None] * fall * gravity).sum())
+        self.impulse += dt * ((mass + flown).sum() * gravity + self.flow.reaction.sum(axis=0))
+        start = Amount.of(cloud, mesh.cells, self.budget.gravity)
+        cloud.x = np.where(flying[:, None], cloud.x + fall, cloud.x + dt * u)
+        cloud.v = np.where(flying[:, None], cloud.v + dt * gravity, new)
+        cloud.p = np.where(flying, 0.0, cloud.p + (p - cloud.p) / theta if self.scheme.compressible else p)
+        self.budget.book("lagrangian", Amount.of(cloud, mesh.cells, self.budget.gravity) - start)
+
+    def _retessellate(self, dt: float) -> None:
+        """Obstacles, and new nodes and cells where the mesh asks for it. Collective."""
+        with phase("contact"):
+            self.obstacles.follow(self.t, dt)
+            self.obstacles.release(self.cloud, self.flow.reaction, self.mesh.cells)
+            self.obstacles.clip(self.cloud, self.mesh.cells, self.budget)
+        with phase("remesh"):
+            made = on_root(self.comm, lambda: self._remesh(dt))
+            if self.comm.size > 1:
+                self.cloud, self.budget, made = self.comm.bcast(
+                    (self.cloud, self.budget, made) if self.comm.rank == 0 else None
+                )
+        if made is not None:
+            same = len(made.cells) == len(self.mesh.cells) and bool(np.all(made.parents == np.arange(len(made.cells))))
+            self.mesh, self._stale = made, not same
+            self.work["remeshes"] += 1
+        drift = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity).volume / self.start.volume - 1.0
+        self._worst = max(self._worst, drift, -drift, key=abs)
+
+    def _remesh(self, dt: float) -> Tessellation | None:
+        if not needs(self.cloud, self.mesh, self.rules, dt):
+            return None
+        return remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
+
+    # --- what the runner asks -------------------------------------------------------------------------------------
+    def probe(self, probe: Probe) -> float:
+        """The sampled number of a probe; see ``Probe`` for the quantities."""
+        if probe.quantity == "reaction":
+            return float(answers.reaction(self.obstacles, self.cloud, self.flow.reaction, str(probe.of))[probe.component])
+        return self._places.probe(
+            probe, self.cloud, self.mesh.cells, self.t, -self.cloud.p[:, None] * np.array([1.0, 1, 1, 0, 0, 0])
+        )
+
+    def energy(self) -> dict[str, float]:
+        """Kinetic energy; ``internal`` is what viscosity and the stabilisation have turned into heat, ``external`` the work of gravity."""
+        kinetic = self.flow.density * answers.kinetic(self.cloud, self.mesh.cells)
+        return {"kinetic": kinetic, **self._energy}
+
+    def checks(self) -> dict[str, float | None]:
+        """Relative drifts: ``volume`` of the mesh and of what flies, the largest so far; ``momentum`` less all impulses."""
+        now = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)
+        drift = now.volume / self.start.volume - 1.0
+        lost = self.flow.density * (now.momentum - self.start.momentum) - self.impulse
+        for kind in ("wall",):
+            lost -= self.flow.density * self.budget.of[kind].momentum
+        scale = self.flow.density * self.start.volume * (1e-300 + float(np.linalg.norm(self.cloud.v, axis=1).max(initial=0.0)))
+        return {"mass": drift, "momentum": float(np.linalg.norm(lost)) / scale if scale > 1e-250 else None, "volume": self._worst,
+                **{f"volume_{kind}": amount.volume / self.start.volume for kind, amount in self.budget.of.items()}}  # fmt: skip
+
+    def size(self) -> dict[str, int]:
+        return {"dofs": (self.scene.gdim + 1) * self.cloud.n, "cells": len(self.mesh.cells), "points": self.cloud.n}
+
+    def savings(self) -> dict[str, float]:
+        """``meshes``: tessellations made, by steps."""
+        return {"meshes": self.work["meshes"] / max(self.work["steps"], 1)}
+
+    def functions(self) -> list[Any]:
+        return []
+
+    def snapshot(self) -> dict[str, Any]:
+        if self.comm.rank:
+            return {}
+        return answers.snapshot(self.cloud, self.mesh.cells, self.obstacles)
+
+    # --- checkpoints ----------------------------------------------------------------------------------------------
+    def state(self) -> dict[str, Array]:
+        numbers = [self.t, self._limit, self._worst, *self._energy.values(), *self.impulse]
+        out = {"numbers": np.array(numbers), "work": np.array(list(self.work.values()), float)}
+        out |= {"cells": self.mesh.cells, "facets": self.mesh.facets, "reaction": self.flow.reaction}
+        out |= answers.cloud_state(self.cloud) | answers.budget_state(self.budget)
+        return out
+
+    def restore(self, state: dict[str, Array]) -> None:
+        self.t, self._limit, self._worst, internal, external, *impulse = state["numbers"].tolist()
+        self._energy = {"internal": internal, "external": external}
+        self.impulse = np.array(impulse)
+        self.work = dict(zip(self.work, state["work"].astype(int).tolist()))
+        self.flow.iterations, self.flow.linear, self.flow.factorisations = (
+            self.work[k] for k in ("newton", "linear", "factorisations")
+        )
+        cells = state["cells"].astype(np.int64)
+        self.mesh = Tessellation(cells, state["facets"].astype(np.int64), np.arange(len(cells)))
+        self.flow.reaction = state["reaction"]
+        answers.restore_cloud(self.cloud, state)
+        answers.restore_budget(self.budget, state)
+        self._stale = True
