@@ -96,8 +96,12 @@ def peel(x: Array, cells: Array, across: Array, flat: Array, inside: Array) -> N
 
     The boundary then takes the way round over the cell's third node, which lies on that edge.
     """
-    waiting = np.flatnonzero(inside & flat)
-    n = len(waiting)
+    waiting = np.empty(3 * len(cells), np.int64)
+    n = 0
+    for c in range(len(cells)):
+        if inside[c] and flat[c]:
+            waiting[n] = c
+            n += 1
     while n > 0:
         n -= 1
         c = waiting[n]
@@ -114,9 +118,5 @@ def peel(x: Array, cells: Array, across: Array, flat: Array, inside: Array) -> N
         for k in range(3):
             u = across[c, k]
             if u >= 0 and inside[u] and flat[u]:
-                if n == len(waiting):
-                    longer = np.empty(2 * n + 2, np.int64)
-                    longer[:n] = waiting
-                    waiting = longer
                 waiting[n] = u
                 n += 1

@@ -124,10 +124,11 @@ def fill(cells: Array, volumes: Array, inside: Array, doubtful: Array, lonely: A
     """
     lonely = lonely.copy()
     total = 0.0
-    for c in np.flatnonzero(inside):
-        total += volumes[c]
-        for k in range(cells.shape[1]):
-            lonely[cells[c, k]] = False
+    for c in range(len(cells)):
+        if inside[c]:
+            total += volumes[c]
+            for k in range(cells.shape[1]):
+                lonely[cells[c, k]] = False
     for c in doubtful:
         for k in range(cells.shape[1]):
             inside[c] |= lonely[cells[c, k]]
