@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -98,6 +101,37 @@ def test_what_cannot_be_tessellated_is_a_mistake_in_one_line(x: Array, says: str
     assert "\n" not in str(mistake.value)
 
 
+def test_without_a_compiler_the_wheel_and_qhull_stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    monkeypatch.setattr(backends, "native", backends.native.__wrapped__)
+    for gdim in (2, 3):
+        x = np.random.default_rng(4).random((50, gdim))
+        assert np.array_equal(backends.delaunay(x), backends.delaunay(x, "qhull"))
+    with pytest.raises(Mistake, match="apt-get install -y g.. libcgal-dev"):
+        backends.delaunay(x, "native")
+    with pytest.raises(Mistake, match="plane only"):
+        backends.delaunay(x, "compas")
+
+
+def test_library_is_compiled_whole_or_not_at_all_and_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four who compile at once, with a slow compiler that writes its output in two parts."""
+    compiler = tmp_path / "compiler"
+    compiler.write_text('#!/bin/sh\nwhile [ "$1" != -o ]; do shift; done\necho one > $2; sleep 0.2; echo two >> $2\n')
+    compiler.chmod(0o755)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("CXX", str(compiler))
+    path = backends.library_path()
+    assert path is not None
+    with ThreadPoolExecutor() as pool:
+        work = [pool.submit(backends.compile_to, path) for _ in range(4)]
+        while not all(job.done() for job in work):
+            assert not path.exists() or path.read_text() == "one\ntwo\n"
+    assert [job.exception() for job in work] == [None] * 4 and list(path.parent.iterdir()) == [path]
+    assert backends.library_path() == path
+    monkeypatch.setenv("CXX", f"{compiler} -march=native")
+    assert backends.library_path() != path
+
+
 # --- the body's area --------------------------------------------------------------------------------------------------
 def test_constrained_keeps_the_area_that_an_alpha_shape_loses() -> None:
     x, size = lattice(20)
@@ -184,6 +218,20 @@ def test_node_that_slips_out_is_caught_and_one_that_flies_off_is_counted() -> No
     x, size, old, node = square((0.55, 1.3))
     way = Constrained()
     assert node not in way(x, size, old).cells and way.seen["loose"] == 1
+
+
+def test_bodies_that_touch_node_on_node_are_one_and_keep_their_area() -> None:
+    x, size = lattice(6)
+    one = Constrained()(x, size, None)
+    n = len(x)
+    both = np.concatenate([x, x + [1.0, 0.0]])
+    facets = np.concatenate([one.facets, one.facets + n])
+    old = Tessellation(np.concatenate([one.cells, one.cells + n]), facets, np.full(2 * len(one.cells), -1))
+    way = Constrained()
+    t = way(both, np.tile(size, 2), old)
+    assert_valid(both, t)
+    assert simplices.volumes(both, t.cells).sum() == pytest.approx(2.0, rel=1e-13) and len(t.facets) == len(facets) - 12
+    assert way.seen["doubtful"] == way.seen["crossed"] == 0 and way.seen["loose"] == 7  # the later nodes of the interface
 
 
 def test_boundary_that_crosses_itself_still_gives_a_mesh() -> None:

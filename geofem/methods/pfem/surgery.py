@@ -12,6 +12,10 @@ CONTACT = 0.02
 """Fronts nearer than this part of the size are joined, and necks thinner are cut, however they move."""
 
 
+FOLD = 1e-3
+"""An angle (rad) below which two edges of the boundary lie on each other; an edge that much shorter than the next is none."""
+
+
 @kernel
 def uncross(x, node, nxt, prv):  # type: ignore[no-untyped-def]
     """Reconnect edges that cross each other until none do. Each time the boundary gets shorter, so it ends. Returns events."""
@@ -22,6 +26,26 @@ def uncross(x, node, nxt, prv):  # type: ignore[no-untyped-def]
         events.append((float(MERGE), change(x, node, nxt, s, t), x[a, 0], x[a, 1]))
         reconnect(node, nxt, prv, s, t)
         s, t = first_crossing(x, node, nxt)
+    return events
+
+
+@kernel
+def unfold(x, node, nxt, prv):  # type: ignore[no-untyped-def]
+    """Leave out corners where the boundary turns back on itself, as where nodes overtook each other on a wall. Returns events."""
+    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    done = False
+    while not done:
+        done = True
+        for s in range(len(node)):
+            if node[s] < 0:
+                continue
+            p, i, n = node[prv[s]], node[s], node[nxt[s]]
+            ax, ay, bx, by = x[p, 0] - x[i, 0], x[p, 1] - x[i, 1], x[n, 0] - x[i, 0], x[n, 1] - x[i, 1]
+            a, b = np.hypot(ax, ay), np.hypot(bx, by)
+            if min(a, b) < FOLD * max(a, b) or (ax * bx + ay * by > 0.0 and abs(ax * by - ay * bx) < FOLD * a * b):
+                events.append((float(RESAMPLE), -0.5 * cross(x, p, i, n), x[i, 0], x[i, 1]))
+                reconnect(node, nxt, prv, prv[s], s)
+                done = False
     return events
 
 
@@ -130,7 +154,7 @@ def collapse(x, size, level, tangent, held, node, nxt, prv, fine):  # type: igno
                 move = (area - ((qx - x[p, 0]) * cy - (qy - x[p, 1]) * cx)) / slope
                 qx, qy = qx + move * tx, qy + move * ty
         else:
-            if level[drop] > 1:
+            if level[drop] > 1 and length[s] > FOLD * h:
                 continue
             qx, qy = x[keep, 0], x[keep, 1]
         if (qx - mx) ** 2 + (qy - my) ** 2 > (0.5 * length[s] + 0.3 * h) ** 2:
