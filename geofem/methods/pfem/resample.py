@@ -41,22 +41,22 @@ def spare(short, removable, n):  # type: ignore[no-untyped-def]
     return gone
 
 
-@kernel
-def beside(x, size, who, facets, room):  # type: ignore[no-untyped-def]
+def beside(x: Array, size: Array, who: Array, facets: Array, room: float) -> Array:
     """Which of the nodes (n,) bool ``who`` are nearer to a boundary edge (k, 2) than ``room`` sizes, (n,) bool."""
+    ends = x[facets, 0]
+    left = ends.min(axis=1)
+    order = np.argsort(left, kind="stable")
+    return look_beside(x, room * size, who, facets[order], left[order], float(np.ptp(ends, axis=1).max(initial=0.0)))
+
+
+@kernel
+def look_beside(x, near, who, facets, left, widest):  # type: ignore[no-untyped-def]
     found = np.zeros(len(x), np.bool_)
-    left, widest = np.empty(len(facets)), 0.0
-    for k in range(len(facets)):
-        xa, xb = x[facets[k, 0], 0], x[facets[k, 1], 0]
-        left[k] = min(xa, xb)
-        widest = max(widest, abs(xa - xb))
-    order = np.argsort(left)
-    left = left[order]
     for i in range(len(x)):
-        reach = room * size[i]
+        reach = near[i]
         k = np.searchsorted(left, x[i, 0] - reach - widest)
-        while who[i] and not found[i] and k < len(order) and left[k] <= x[i, 0] + reach:
-            a, b = facets[order[k]]
+        while who[i] and not found[i] and k < len(left) and left[k] <= x[i, 0] + reach:
+            a, b = facets[k]
             k += 1
             ex, ey, dx, dy = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[i, 0] - x[a, 0], x[i, 1] - x[a, 1]
             share = min(max((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)

@@ -61,7 +61,7 @@ class Remesher:
         if self.obstacles.rigids:
             near = np.min([rigid.reach(cloud.x)[0] for rigid in self.obstacles.rigids], axis=0)
             cloud.size = self.h + GROWTH * np.maximum(near, 0.0)
-        if not resample.needs(cloud, self.tessellation, SOLID, dt):
+        if not resample.needs(cloud, self.tessellation, SOLID, self.budget, dt):
             return None
         cloud.fields["held"] = self._touching(cloud)
         history, old = body.history, self.tessellation

@@ -10,7 +10,7 @@ from geofem.methods.pfem.budget import Budget
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Obstacles
 from geofem.methods.pfem.loops import first_crossing, link, nearest, tally, winding
-from geofem.methods.pfem.surgery import MERGE, RESAMPLE, SEPARATE, collapse, give, join_and_part, uncross, unfold
+from geofem.methods.pfem.surgery import MERGE, RESAMPLE, SEPARATE, Event, collapse, give, join_and_part, uncross, unfold
 from geofem.scene import Array
 
 
@@ -127,9 +127,9 @@ def round_about(loops: Loops, slot: int) -> Array:
     return np.array(slots)
 
 
-def drop_loops(cloud: Cloud, x: Array, loops: Loops, rules: Rules, useless: Array) -> list[tuple[float, float, float, float]]:
+def drop_loops(cloud: Cloud, x: Array, loops: Loops, rules: Rules, useless: Array) -> list[Event]:
     """Loops that are not to be: overlaps left by uncrossing, small holes, and small pieces, which fly from now on."""
-    events = []
+    events: list[Event] = []
     loop, areas, _ = tally(x, loops.node, loops.nxt)
     uses = np.bincount(loops.node[loops.node >= 0], minlength=cloud.n)
     for number in np.argsort(areas)[:-1]:  # the largest body stays, whatever it is
