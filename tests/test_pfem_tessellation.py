@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geofem.core.locate import Locator
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator, backends, simplices, slivers
 from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.methods.pfem.tessellation.constrained import Constrained
 from geofem.methods.pfem.tessellation.inside import InsideBody
+from geofem.methods.pfem.tessellation.winding import enclosed_volume, winding
 from geofem.mistake import Mistake
 from geofem.scene import Array
 
@@ -235,7 +237,7 @@ def test_bodies_that_touch_node_on_node_are_one_and_keep_their_area() -> None:
 
 
 def test_boundary_that_crosses_itself_still_gives_a_mesh() -> None:
-    """A node of the upper side goes down through the lower one: what edges do not tell, the old cells do."""
+    """A node of the upper side goes down through the lower one: what edges do not tell, the winding number does."""
     x, size = lattice(10, jitter=0.0)
     old = Constrained()(x, size, None)
     node = int(np.argmin(np.linalg.norm(x - [0.5, 1.0], axis=1)))
@@ -245,6 +247,24 @@ def test_boundary_that_crosses_itself_still_gives_a_mesh() -> None:
     assert_valid(x, t)
     assert way.seen["crossed"] == 2
     assert simplices.volumes(x, t.cells).sum() == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_winding_tells_the_inside_as_cells_do_also_straight_below_nodes_and_edges(gdim: int) -> None:
+    x, size = lattice(10, gdim)
+    x = x[np.linalg.norm(x - 0.5, axis=1) > 0.3]
+    t = AlphaShape(1.1)(x, size[: len(x)], None)
+    # no side is upright, so that no point is on the boundary, though all have the first coordinates of its nodes and edges
+    x[:, :-1] += 0.03 * np.sin(5 * x[:, -1:]) * (x[:, :-1] - 2)
+    places = np.concatenate([x[t.facets[:, 0]], x[t.facets[:, :2]].mean(axis=1), x[t.facets].mean(axis=1)])
+    rng = np.random.default_rng(5)
+    points = np.concatenate([places[rng.integers(len(places), size=500)], rng.random((500, gdim))])
+    points[:, -1] = rng.uniform(-0.1, 1.1, len(points))
+    inside = Locator(x, t.cells).find(points) >= 0
+    assert np.array_equal(winding(x, t.facets, points), inside) and 200 < inside.sum() < 800
+    assert enclosed_volume(x, t.facets) == pytest.approx(simplices.volumes(x, t.cells).sum(), rel=1e-12)
+    # a body twice is wound round twice
+    assert np.array_equal(winding(x, np.concatenate([t.facets, t.facets]), points), 2 * inside)
 
 
 # --- space ------------------------------------------------------------------------------------------------------------
@@ -292,6 +312,21 @@ def test_inside_body_opens_no_hole_and_keeps_a_bubble() -> None:
     t = InsideBody()(x, size, first)
     assert_valid(x, t)
     assert volume < 0.95 and simplices.volumes(x, t.cells).sum() == pytest.approx(volume, rel=0.01)
+
+
+def test_inside_body_fills_the_place_of_a_node_that_was_removed() -> None:
+    """Also beside the boundary: of the old cells those around the node are missing."""
+    x, size = lattice(6, 3)
+    old = InsideBody()(x, size, None)
+    gone = int(np.argmin(np.linalg.norm(x - [1 / 6, 0.5, 0.5], axis=1)))
+    kept = np.arange(len(x)) != gone
+    number = np.cumsum(kept) - 1
+    rows = kept[old.cells].all(axis=1)
+    left = Tessellation(number[old.cells[rows]], number[old.facets], np.flatnonzero(rows))
+    t = InsideBody()(x[kept], size[kept], left)
+    assert_valid(x[kept], t)
+    assert simplices.volumes(x[kept], t.cells).sum() == pytest.approx(1.0, rel=1e-3)
+    assert len(t.facets) == len(old.facets)
 
 
 # --- any nodes --------------------------------------------------------------------------------------------------------

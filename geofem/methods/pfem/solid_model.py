@@ -18,7 +18,7 @@ from geofem.methods.pfem.solid_dynamic import Dynamic
 from geofem.methods.pfem.solid_remesh import TRANSFERS, Remesher
 from geofem.methods.pfem.solid_static import Static
 from geofem.mistake import Mistake, unknown
-from geofem.scene import Array, MeshFile, Probe, Scene
+from geofem.scene import Array, Box, MeshFile, Probe, Scene
 
 STABILISATION = 2e-3
 """Default share of the shear stiffness: with a hundredth the strip footing bears 3 % more, with none Newton takes four times as many
@@ -209,10 +209,10 @@ def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bo
 
     def made() -> Any:
         corners = [p for rigid in scene.rigids for p in rigid.shape.points if inside(scene, p)]
-        if corners:
-            mesh = meshing.fragments(
-                scene.regions, [r.shape for r in scene.regions], scene.length, scene.length / n, "triangle", corners, 2.0
-            )
+        shapes = [region.shape for region in scene.regions]
+        if corners or not all(isinstance(meshing.upright(shape), Box | MeshFile) for shape in shapes):
+            poles, law = (corners, 2.0) if corners else (scene.singular, grading)
+            mesh = meshing.fragments(scene.regions, shapes, scene.length, scene.length / n, "triangle", poles, law)
         else:
             mesh = meshes.serial(scene, n, "triangle", grading)
         return solid_body.start(scene, mesh.points, mesh.cells, mesh.regions, scene.length / n)

@@ -36,7 +36,7 @@ class Static:
         self.tolerance = tolerance
         self.obstacles = solid_contact.obstacles(body.scene)
         for k in range(len(self.obstacles)):
-            body.cloud.fields[f"slip{k}"] = np.zeros((body.cloud.n, 2))
+            body.cloud.fields[f"touch{k}"] = np.zeros((body.cloud.n, 3))
         scene = self.scene
         names = [*(s.name for s in scene.supports), *(w.name for w in scene.walls), *(r.name for r in scene.rigids)]
         self.reaction = {name: np.zeros(2) for name in names}
@@ -113,9 +113,8 @@ class Static:
         edge = body.boundary()
         lame = body.laws.lame[cloud.region]
         stiffness = solid_contact.STIFF * (lame[:, 0] + 2.0 * lame[:, 1])
-        reach = 2.0 * float(cloud.size.max())
         return [
-            solid_contact.begin(o, cloud.x, t0, t1, edge, cloud.fields[f"slip{k}"], stiffness, reach)
+            solid_contact.begin(o, cloud.x, t0, t1, edge, cloud.fields[f"touch{k}"], stiffness, cloud.size)
             for k, o in enumerate(self.obstacles)
         ]
 
@@ -161,9 +160,7 @@ class Static:
             self.reaction[support.name] = np.array([held[nodes, c].sum() if c in support.components else 0.0 for c in range(2)])
         for k, touch in enumerate(touches):
             self.reaction[touch.obstacle.name] = touch.force.sum(axis=0)
-            slip = np.zeros((self.body.cloud.n, 2))
-            slip[touch.nodes] = touch.stretch
-            self.body.cloud.fields[f"slip{k}"] = slip
+            self.body.cloud.fields[f"touch{k}"] = touch.remember(self.body.cloud.n)
             self.external += float(np.sum(touch.force @ touch.move))
         self.external += float(np.sum((held + loads) * du))
         self.internal += self.body.accept(du, answer)

@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from geofem.core.locate import Locator
 from geofem.methods.pfem.tessellation import Tessellation, simplices
 from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.methods.pfem.tessellation.backends import constrained
 from geofem.methods.pfem.tessellation.common import FLAT, finished, mean_size
+from geofem.methods.pfem.tessellation.winding import winding
+from geofem.mistake import Mistake
 from geofem.scene import Array
 
 SLIPPED = 0.1
@@ -26,9 +27,9 @@ class Constrained:
     alpha : the alpha shape that makes the first boundary, where there is none yet.
     backend : see ``backends.delaunay``.
     seen : how often there was what ought to be rare: boundary edges that cross others and were given up (``crossed``),
-        triangles that the old body's moved cells told from the outside, as edges did not (``doubtful``), flat ones that were
-        left out (``flat``), nodes that had slipped out of the body and were kept in it by a triangle outside (``caught``), and
-        nodes of the old cells that are in no new one (``loose``).
+        triangles told from the outside by how often the boundary goes round them, as crossed edges did not (``doubtful``),
+        flat ones that were left out (``flat``), nodes that had slipped out of the body and were kept in it by a triangle
+        outside (``caught``), and nodes of the old cells that are in no new one (``loose``).
     """
 
     alpha: float = 1.2
@@ -37,13 +38,15 @@ class Constrained:
 
     def __call__(self, x: Array, size: Array, old: Tessellation | None) -> Tessellation:
         """See ``Tessellator``."""
+        if x.shape[1] != 2:
+            raise Mistake("pfem: a boundary is kept by constraints in the plane only; in 3D use InsideBody")
         if old is None or len(old.facets) == 0:
             return AlphaShape(self.alpha, backend=self.backend)(x, size, old)
         cells, sides, refused = constrained(x, old.facets, self.backend)
         inside = sides > 0
         doubtful = np.flatnonzero(sides == 0)
         if len(doubtful):
-            inside[doubtful] = in_old_body(x, old.cells, x[cells[doubtful]].mean(axis=1))
+            inside[doubtful] = winding(x, old.facets, x[cells[doubtful]].mean(axis=1)) > 0
         areas = simplices.volumes(x, cells)
         flat = areas <= FLAT * mean_size(size, cells) ** 2
         self.seen.update(crossed=int(refused.sum()), doubtful=len(doubtful), flat=0, caught=0, loose=0)
@@ -59,14 +62,6 @@ class Constrained:
             inside[caught] = True
             self.seen.update(caught=len(caught), loose=len(loose) - len(caught))
         return finished(cells[inside], old)
-
-
-def in_old_body(x: Array, cells: Array, points: Array) -> Array:
-    """Which points lie in the old cells, as they have moved; those turned inside out hold nothing."""
-    upright = cells[simplices.volumes(x, cells) > 0]
-    if len(upright) == 0:
-        return np.zeros(len(points), bool)
-    return Locator(x, upright, simplices.neighbours(upright)).find(points) >= 0
 
 
 def slipped(old: Array, new: Array, n: int) -> Array:
@@ -96,8 +91,12 @@ def peel(x: Array, cells: Array, across: Array, flat: Array, inside: Array) -> N
 
     The boundary then takes the way round over the cell's third node, which lies on that edge.
     """
-    waiting = np.flatnonzero(inside & flat)
-    n = len(waiting)
+    waiting = np.empty(3 * len(cells), np.int64)
+    n = 0
+    for c in range(len(cells)):
+        if inside[c] and flat[c]:
+            waiting[n] = c
+            n += 1
     while n > 0:
         n -= 1
         c = waiting[n]
@@ -114,9 +113,5 @@ def peel(x: Array, cells: Array, across: Array, flat: Array, inside: Array) -> N
         for k in range(3):
             u = across[c, k]
             if u >= 0 and inside[u] and flat[u]:
-                if n == len(waiting):
-                    longer = np.empty(2 * n + 2, np.int64)
-                    longer[:n] = waiting
-                    waiting = longer
                 waiting[n] = u
                 n += 1

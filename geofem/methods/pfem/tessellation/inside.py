@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from geofem.core.locate import Locator
 from geofem.methods.pfem.tessellation import Tessellation, simplices, slivers
 from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.methods.pfem.tessellation.backends import delaunay
 from geofem.methods.pfem.tessellation.common import FLAT, finished, mean_size
+from geofem.methods.pfem.tessellation.winding import enclosed_volume, winding
 from geofem.scene import Array
 
 TOWARDS_VERTEX = 0.6
@@ -63,7 +63,7 @@ class InsideBody:
         known[old.cells] = True
         doubtful = np.flatnonzero((share > 0) & (share < 1))
         doubtful = doubtful[np.argsort(-share[doubtful], kind="stable")]
-        fill(cells, volumes, inside, doubtful, known, simplices.volumes(x, old.cells).sum())
+        fill(cells, volumes, inside, doubtful, known, enclosed_volume(x, old.facets))
         holes = enclosed(across, inside, volumes, spacing ** x.shape[1])
         inside |= holes
         outer = (across < 0) | ~inside[across]
@@ -93,9 +93,10 @@ class InsideBody:
 
 
 def share_inside(x: Array, cells: Array, old: Tessellation) -> Array:
-    """The share of each cell's sample points that lie in the old body, (m,): cells of old nodes and of interior ones have all.
+    """The share of each cell's sample points that lie in the old body, (m,): old cells and those of interior nodes have all.
 
-    The sample points are the centroid and one towards each vertex.
+    The sample points are the centroid and one towards each vertex; the old boundary tells, since of the old cells some may be
+    missing, where nodes were removed.
     """
     share = np.zeros(len(cells))
     known = np.zeros(len(x), bool)
@@ -105,14 +106,11 @@ def share_inside(x: Array, cells: Array, old: Tessellation) -> Array:
     interior = known & ~surface
     share[interior[cells].all(axis=1) | (simplices.parents(cells, old.cells) >= 0)] = 1.0
     asked = np.flatnonzero(share == 0.0)
-    upright = old.cells[simplices.volumes(x, old.cells) > 0]
-    if len(asked) == 0 or len(upright) == 0:
-        return share
     corners = x[cells[asked]]
     centre = corners.mean(axis=1, keepdims=True)
     samples = np.concatenate([centre, centre + TOWARDS_VERTEX * (corners - centre)], axis=1)
-    found = Locator(x, upright, simplices.neighbours(upright)).find(samples.reshape(-1, x.shape[1]))
-    share[asked] = (found.reshape(samples.shape[:2]) >= 0).mean(axis=1)
+    turns = winding(x, old.facets, samples.reshape(-1, x.shape[1]))
+    share[asked] = (turns.reshape(samples.shape[:2]) > 0).mean(axis=1)
     return share
 
 
@@ -124,10 +122,11 @@ def fill(cells: Array, volumes: Array, inside: Array, doubtful: Array, lonely: A
     """
     lonely = lonely.copy()
     total = 0.0
-    for c in np.flatnonzero(inside):
-        total += volumes[c]
-        for k in range(cells.shape[1]):
-            lonely[cells[c, k]] = False
+    for c in range(len(cells)):
+        if inside[c]:
+            total += volumes[c]
+            for k in range(cells.shape[1]):
+                lonely[cells[c, k]] = False
     for c in doubtful:
         for k in range(cells.shape[1]):
             inside[c] |= lonely[cells[c, k]]

@@ -75,8 +75,8 @@ def swap(x: Array, cells: Array, across: Array, shape: Array, bad: Array) -> tup
                     low = min(low, shape_of(x, a, p, q, r), shape_of(x, p, q, r, b))
                 if low > gain and low > least:
                     gain, count, apex, bottom, end = low, size, i, a, b
-                    best_ring[:size] = ring[:size]
-                    best_around[:size] = around[:size]
+                    for j in range(size):
+                        best_ring[j], best_around[j] = ring[j], around[j]
         for j in range(1, count - 1):
             p, q, r = best_ring[apex], best_ring[(apex + j) % count], best_ring[(apex + j + 1) % count]
             new[n, 0], new[n, 1], new[n, 2], new[n, 3] = bottom, p, q, r
@@ -116,13 +116,15 @@ def drop_outer(cells: Array, across: Array, bad: Array, inside: Array, nodes: in
     A cell that is the only one of a node stays.
     """
     uses = np.zeros(nodes, np.int64)
-    for c in np.flatnonzero(inside):
+    for c in range(len(cells)):
         for k in range(4):
-            uses[cells[c, k]] += 1
+            uses[cells[c, k]] += inside[c]
     dropped, before = 0, -1
     while dropped != before:
         before = dropped
-        for c in np.flatnonzero(inside & bad):
+        for c in range(len(cells)):
+            if not (inside[c] and bad[c]):
+                continue
             outer, needed = 0, False
             for k in range(4):
                 outer += across[c, k] < 0 or not inside[across[c, k]]
