@@ -177,7 +177,7 @@ class Body:
 
     def restore(self, state: dict[str, Array]) -> None:
         fields = {name.removeprefix("field_"): values for name, values in state.items() if name.startswith("field_")}
-x, X, v, p, size, region, carried, id = (state[name] for name in Cloud.NAMES)
+        x, X, v, p, size, region, carried, id = (state[name] for name in Cloud.NAMES)
         self.cloud = Cloud(x, X, v, p, size, region, carried, id, int(state["next_id"]), fields)
         self._mass_region, self.mass = self.cloud.region, state["mass"]
         self.renew(state["cells"], state["facets"], History(state["F"], state["state"], state["of"]))
