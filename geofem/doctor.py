@@ -35,6 +35,7 @@ GRAPHICS_MEND = (
     "sudo apt-get install -y libglu1-mesa libgl1 libegl1 libxrender1 libxcursor1 libxfixes3 libxft2 libxinerama1 libgomp1"
 )
 MPI_MEND = "uv sync --reinstall-package mpich --reinstall-package mpi4py"
+CGAL_MEND = "sudo apt-get install -y g++ libcgal-dev"
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,21 @@ def gmsh() -> Finding:
     if done.returncode:
         return Finding(False, f"gmsh: {last_line(done.stderr)}", GRAPHICS_MEND)
     return Finding(True, f"gmsh {last_line(done.stdout)}")
+
+
+def cgal() -> Finding:
+    """Which CGAL tessellates for pfem: its headers, compiled at first use, or the package compas_cgal, which has the plane only?"""
+    command = shlex.split(os.environ.get("CXX") or "c++")
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder, "headers.cpp")
+        source.write_text("#include <CGAL/version.h>\n#include <gmp.h>\n#include <mpfr.h>\n")
+        done = run(*command, "-std=c++17", "-fsyntax-only", str(source))
+    if done.returncode == 0:
+        return Finding(True, f"CGAL: native, compiled by {command[0]} at first use")
+    package = python("from compas_cgal import _triangulation")
+    if package.returncode:
+        return Finding(False, f"CGAL: no headers, and compas_cgal does not load: {last_line(package.stderr)}", "uv sync")
+    return Finding(True, f"CGAL: compas in the plane, scipy's Qhull in space; for native, the faster one: {CGAL_MEND}")
 
 
 def rendering(libraries: tuple[str, ...] = ("libEGL.so.1", "libGL.so.1")) -> Finding:
@@ -272,7 +288,7 @@ def locks() -> Finding:
 
 # --- all together -----------------------------------------------------------------------------------------------------
 CHECKS: tuple[Callable[[], Finding], ...] = (
-    compiler, headers, dolfinx, gmsh, rendering, launcher, form_cache, kernel_cache, locks, disk,
+    compiler, headers, dolfinx, gmsh, cgal, rendering, launcher, form_cache, kernel_cache, locks, disk,
 )  # fmt: skip
 
 SYMPTOMS: tuple[tuple[str, tuple[Callable[[], Finding], ...]], ...] = (

@@ -103,6 +103,18 @@ def test_gmsh_that_does_not_load_is_mended_by_the_graphics_libraries(monkeypatch
     assert not finding.ok and "libGLU.so.1" in finding.what and "libglu1-mesa" in finding.mend
 
 
+def test_cgal_is_native_with_its_headers_and_a_package_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program(tmp_path / "c++", "")
+    monkeypatch.setenv("CXX", str(tmp_path / "c++"))
+    assert "native, compiled" in doctor.cgal().what
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    finding = doctor.cgal()
+    assert finding.ok and "compas" in finding.what and "apt-get install -y g++ libcgal-dev" in finding.what
+    monkeypatch.setattr(doctor, "python", lambda code: subprocess.CompletedProcess([], 1, "", "no such module"))
+    finding = doctor.cgal()
+    assert not finding.ok and finding.mend == "uv sync"
+
+
 def test_missing_rendering_library() -> None:
     finding = doctor.rendering(("libno_such_library.so.1",))
     assert not finding.ok and "libno_such_library.so.1" in finding.what and "libegl1" in finding.mend

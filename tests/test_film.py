@@ -11,6 +11,7 @@ import imageio_ffmpeg
 import meshio
 import numpy as np
 import pytest
+from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
 from test_report import Links, is_picture, plane, solid
 
@@ -267,6 +268,26 @@ def test_meshes_that_change_are_filmed(tmp_path: Path) -> None:
     folder = written(tmp_path, [(0.0, plane("quad")), (0.5, plane("triangle")), (1.0, heap(1.0))])
     made = film.make(folder, "displacement", asked=True)
     assert made is not None and made.path is not None and len(decoded(made.path)[1]) >= 3
+
+
+def test_drops_that_left_the_mesh_are_dots_and_far_ones_do_not_shrink_the_picture(tmp_path: Path) -> None:
+    """Points of no cell; the meshes before and after have other numbers of points and cells."""
+    mesh = plane("triangle")
+    dry = {k: v for k, v in mesh.items() if k != "stress"} | {"velocity": np.ones((16, 2))}
+    wet = {
+        "points": np.concatenate([mesh["points"], [[3.5, 3.0, 0.0], [3.0, 900.0, 0.0]]]),
+        "cells": mesh["cells"],
+        "cell": "triangle",
+        "velocity": np.ones((18, 2)),
+        "pressure": np.arange(18.0),
+        "carried": np.append(np.zeros(16), [0.04, 0.04]),
+    }
+    assert list(paint.alone(wet)) == [16, 17] and not len(paint.alone(dry)) and not len(paint.alone(heap(0.0)))
+    low, high = paint.bounds(wet)
+    assert low[1] == 0.0 and high[1] == pytest.approx(mesh["points"][:, 1].max() + 0.25 * np.ptp(mesh["points"], axis=0).max())
+    drawn = paint.body(Figure().add_subplot(), wet, wet["pressure"], 0.0, {})
+    assert sum(isinstance(part, EllipseCollection) for part in drawn) == 1
+    assert film.make(written(tmp_path, [(0.0, dry), (1.0, wet)]), "speed", asked=True) is not None
 
 
 def test_a_body_in_space_is_filmed_by_matplotlib_where_pyvista_cannot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

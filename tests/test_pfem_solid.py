@@ -47,9 +47,10 @@ def test_domains_see_a_linear_field_exactly_and_push_in_balance(seed):
 def solve(scene, **knobs):
     """The model at the end of its run, and the samples of its probes."""
     model = build_solid(scene, **knobs)
-    history = {p.name: [] for p in scene.probes}
+    history = {"t": [], **{p.name: [] for p in scene.probes}}
     while model.t < scene.t_end - 1e-9:
         model.step(min(model.dt(), scene.t_end - model.t))
+        history["t"].append(model.t)
         for p in scene.probes:
             history[p.name].append(model.probe(p))
     return model, {name: np.array(values) for name, values in history.items()}
@@ -73,3 +74,29 @@ def test_footing():
     assert np.max(-history["load"]) == pytest.approx(2 + np.pi, rel=0.02)
     _, history = solve(scene, n=6, steps=3, state="points", cured=False)
     assert np.max(-history["load"]) > 1.15 * (2 + np.pi)
+
+
+def error_of(scene, history, name):
+    """The relative error of a measure of a run that gave these samples at the end of each step."""
+    measure = next(m for m in scene.measures if m.name == name)
+    return measure.reference.error(measure.value(history))
+
+
+def test_wedge_goes_deep():
+    """Hill's pressure on a wedge that sinks from the surface; nodes are added and removed, and the mass stays."""
+    scene = scenes.get("wedge")()
+    model, history = solve(scene, n=6)
+    assert error_of(scene, history, "p_over_k") < 0.05
+    assert model.work["remeshes"] > 5
+    assert model.checks()["mass"] < 1e-12 and abs(model.checks()["volume"]) < 1e-3
+    assert history["t"][-1] == pytest.approx(1.0)
+
+
+def test_column_collapses():
+    """The heap comes to rest at the height of experiments; momentum is that of the forces, energy is not made."""
+    scene = scenes.get("column_collapse")(law="mu_i")
+    model, history = solve(scene, n=8)
+    assert error_of(scene, history, "height") < 0.1
+    checks, energy = model.checks(), model.energy()
+    assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.02 and checks["momentum"] < 0.05
+    assert energy["kinetic"] + energy["internal"] < 1.02 * energy["external"]

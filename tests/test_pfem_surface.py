@@ -64,7 +64,7 @@ class Run:
         self.t += dt
         self.budget.book("lagrangian", self.amount() - before)
         self.obstacles.clip(cloud, self.mesh.cells, self.budget)
-        if needs(cloud, self.mesh, self.rules, dt):
+        if needs(cloud, self.mesh, self.rules, self.budget, dt):
             moved, owed = self.amount(), self.budget.owed[:, 2].sum()
             self.mesh = remesh(cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
             now = self.amount()
@@ -167,7 +167,7 @@ def test_a_piece_too_small_for_a_mesh_flies():
 def test_a_drop_lands_on_the_floor_and_in_a_corner():
     walls = [FLOOR, Wall("left", lambda x: x[0] <= 0, (1, 0))]
     run = Run(disc((0.13, 0.13), 0.1, 0.02), 0.02, walls=walls, velocity=lambda x: np.full(x.shape, -1.0))
-    for _ in range(6):
+    for _ in range(15):
         run.step(0.008)
     assert run.cloud.x.min() >= 0.0
     touch = run.obstacles.touch(run.cloud)
@@ -192,7 +192,7 @@ def test_who_pulls_at_a_wall_is_let_go_and_held_again_when_it_comes_back():
     cloud, force = run.cloud, np.zeros_like(run.cloud.x)
     low = cloud.x[:, 1] == 0
     force[low, 1] = np.where(cloud.x[low, 0] < 0.3, -1.0, 1.0)
-    let = run.obstacles.release(cloud, force, run.mesh.cells)
+    let = run.obstacles.release(cloud, force, run.mesh.cells, run.budget)
     assert (let == (low & (cloud.x[:, 0] < 0.3))).all()
     cloud.v[let, 1] = 0.1
     run.start = run.amount()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geofem.methods.pfem.transfer import averaged, copied
+from geofem.methods.pfem.vortex import turned
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
 OLD, NEW = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
@@ -48,3 +49,16 @@ def test_averaging_leaves_out_nodes_that_are_new() -> None:
     assert averaged(np.array([3.0, 3.0]), OLD, np.array([0.5, 0.5]), cells, 5) == pytest.approx([3.0])
     with pytest.raises(ValueError, match="no node in common"):
         averaged(np.array([3.0, 3.0]), OLD, np.array([0.5, 0.5]), np.array([[4, 5, 6]]), 7)
+
+
+def test_one_turn_of_a_vortex_spares_what_is_copied_and_flattens_what_is_averaged() -> None:
+    """3 % of the cells change in a step, so that copying errs where there is change and averaging everywhere."""
+    kept, spread = (turned("pfem", turns=1.0, way=way) for way in ("copied", "averaged"))
+    assert kept["peak"] < 0.2 and kept["error"] < 0.2
+    assert spread["peak"] > 0.5 and spread["error"] > 0.5
+    assert kept["changed"] == spread["changed"] < 0.05
+
+
+def test_error_of_copying_falls_with_the_size_of_the_cells() -> None:
+    coarse, fine = (turned("pfem", turns=1.0, n=n) for n in (20, 40))
+    assert fine["error"] < 0.65 * coarse["error"]

@@ -24,7 +24,7 @@ from geofem.core.mpi import on_root
 from geofem.mistake import Mistake
 from geofem.result import replace_text, write_npz
 
-NODAL = ("displacement", "velocity")
+NODAL = ("displacement", "velocity", "pressure")
 
 
 class Series:
@@ -46,7 +46,7 @@ class Series:
         """Add a picture: a ``snapshot`` of a model, see ``Result``; an empty one, as on ranks other than 0, is passed over.
 
         A field with a row for each point is drawn at the points, one with a row for each cell in the cells. If there are as
-        many cells as points, only displacements and velocities, and all fields of particles, are drawn at the points. So are the
+        many cells as points, only displacements, velocities and pressures, and all fields of particles, are drawn at the points. So are the
         domains of particles, ``edges`` and ``corners``, which a film draws, see ``geofem.study.paint``. The outlines of
         ``rigid`` bodies belong to no point or cell: they stand in an .npz beside the .vtu.
         """

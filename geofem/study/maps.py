@@ -219,6 +219,24 @@ MAPS = {
             bisections=4,
         ),
         Map(
+            name="transfer",
+            title="History of cells: a bell carried round by a vortex, its nodes tessellated anew in each step",
+            scene="vortex of nodes",
+            measure="peak",
+            quantity="part of the peak that is lost",
+            variants=tuple(
+                Variant(f"{way}, n = {n}", "pfem", {"way": way, "n": n}) for way in ("copied", "averaged") for n in (20, 40)
+            ),
+            knob="turns",
+            axis="turns of the vortex",
+            safe=0.005,
+            harsh=2.0,
+            threshold=0.2,
+            analysis="geofem.methods.pfem.vortex:turned",
+            coarse=6,
+            bisections=3,
+        ),
+        Map(
             name="conditioning",
             title="Small cuts: a crack along a row of nodes, 20 x 20 cells",
             scene="williams",

@@ -1,5 +1,6 @@
 """Bodies in the plane, drawn into Matplotlib's axes: cells, material points by their domains, rigid bodies.
 
+Points that belong to no cell, as drops that fly off a mesh do, are drawn as dots, of the area ``carried`` (n,) (m2) where there is one.
 What a snapshot may hold beside ``points`` (n, 3), ``cells`` and ``cell``, for a cloud of n material points in the plane:
 
 ``edges`` (n, 4)
@@ -33,6 +34,8 @@ OUTLINED = 8.0
 """Cells and domains of this mean width (points, 1/72 inch) or more are drawn with their outlines."""
 SMOOTH = 20_000
 """More domains than this are drawn without smoothing their sides: twice as fast, and they are a few pixels each."""
+FARTHEST = 0.25
+"""Points that belong to no cell are shown up to this part of the body's length away from it."""
 LINE = "#00000059"
 SIGNS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
 
@@ -129,10 +132,25 @@ def draw_cloud(axes: Axes, snapshot: Snapshot, values: Array, side: float, look:
     return [axes.add_collection(drawn, autolim=False)]
 
 
+def alone(snapshot: Snapshot) -> Array:
+    """The numbers of the points that belong to no cell."""
+    used = np.zeros(len(snapshot["points"]), bool)
+    used[np.asarray(snapshot["cells"]).ravel()] = True
+    return np.flatnonzero(~used)
+
+
 def draw_cells(axes: Axes, snapshot: Snapshot, values: Array, look: dict[str, Any]) -> list[Any]:
     points = np.asarray(snapshot["points"])[:, :2]
     around = np.asarray(snapshot["cells"])[:, list(CORNERS[str(snapshot["cell"])])]
     drawn: list[Any] = []
+    free = alone(snapshot)
+    if len(values) == len(points) and len(free):
+        side = np.full(len(free), 0.25 * spacing(snapshot))
+        if "carried" in snapshot:
+            side = np.maximum(side, np.sqrt(np.asarray(snapshot["carried"])[free]))
+        drops = EllipseCollection(side, side, 0.0, units="xy", offsets=points[free], offset_transform=axes.transData,
+                                  array=values[free], linewidth=0, **look)  # fmt: skip
+        drawn.append(axes.add_collection(drops, autolim=False))
     if not len(around):
         return drawn
     if len(values) == len(points):
@@ -165,8 +183,13 @@ def body(axes: Axes, snapshot: Snapshot, values: Array, side: float, look: dict[
 
 # --- how much room ----------------------------------------------------------------------------------------------------
 def bounds(snapshot: Snapshot, side: float = 0.0) -> Array:
-    """The box (2, gdim) around the body, [[low], [high]] (m); a few stray material points do not count."""
+    """The box (2, gdim) around the body, [[low], [high]] (m); a few stray material points do not count, nor drops far off."""
     points = np.asarray(snapshot["points"], float)
+    free = alone(snapshot)
+    if 0 < len(free) < len(points):
+        body = np.delete(points, free, axis=0)
+        room = FARTHEST * np.ptp(body, axis=0).max()
+        points = np.concatenate([body, np.clip(points[free], body.min(axis=0) - room, body.max(axis=0) + room)])
     around = domains(snapshot) if str(snapshot["cell"]) == "vertex" and not is_solid(snapshot) else None
     if around is not None:
         points = around.reshape(-1, 2)

@@ -34,7 +34,7 @@ HEXAHEDRON = np.array([[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, 
 COLOURS = "viridis"
 LIMIT = 60.0
 """Seconds that PyVista may take."""
-PICTURED = ("displacement", "mean_stress")
+PICTURED = ("displacement", "mean_stress", "pressure")
 """What the report draws of a run's end."""
 
 

@@ -15,7 +15,7 @@ ONLY = {
     "fluids": (
         "tessellation", "alpha", "backend", "configuration", "theta", "cfl", "dt", "element", "compressible", "walls", "jitter",
     ),
-    "solids": ("state", "cured", "grading", "steps"),
+    "solids": ("state", "cured", "transfer", "remesh", "grading", "steps"),
 }  # fmt: skip
 """Knobs that say something to one kind of scene only."""
 
@@ -58,8 +58,10 @@ class Pfem:
         compressible: bool = False,
         walls: str = "slide",
         jitter: float = 0.0,
-        state: str = "nodal",
-        cured: bool = True,
+        state: str | None = None,
+        cured: bool | None = None,
+        transfer: str = "copy",
+        remesh: bool = True,
         grading: float | None = None,
         steps: int | None = None,
     ) -> FluidModel | SolidModel:
@@ -67,7 +69,7 @@ class Pfem:
 
         n : cells across the scene's length.
         stabilisation : of fluids the factor on tau of equal-order elements (1; 0: none); of solids the share of the shear stiffness
-            that acts on each triangle against the modes that nodal averages do not see (0.002).
+            that acts on each triangle against the modes that nodal averages do not see (0.002, and 0.02 in motion).
         tolerance : of fluids the change of the velocity in the last iteration by the largest velocity (1e-6); of solids the force
             out of balance by the forces that balance (1e-9, plastic laws 1e-5).
 
@@ -88,10 +90,12 @@ class Pfem:
 
         Of solids:
 
-        state : where history lives, nodal (averages around nodes: no transfer), or points (in the triangles).
-        cured : of points, whether the change of volume is averaged around nodes against locking.
+        state : where history lives, nodal (averages around nodes: no transfer; the default for plastic laws), or points (in the triangles).
+        cured : of points, whether the change of volume is averaged around nodes against locking; by default in scenes without inertia.
+        transfer : of points in triangles made anew: copy of the nearest, or average by way of the nodes.
+        remesh : False keeps the first triangles.
         grading : exponent with which the first cells shrink towards the scene's singular points.
-        steps : load steps of a scene without inertia (10).
+        steps : load steps of a scene without inertia (10, and 4 n with rigid bodies).
 
         Raises ``Mistake`` for a knob or a material out of range.
         """
@@ -107,6 +111,4 @@ class Pfem:
         own = {name: value for name, value in told.items() if name not in idle}
         if kind == "fluids":
             return fluid.build_fluid(scene, **own)
-        if own["stabilisation"] is None:
-            own["stabilisation"] = solid_model.STABILISATION
         return solid_model.build_solid(scene, **own)

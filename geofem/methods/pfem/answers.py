@@ -124,10 +124,11 @@ def restore_cloud(cloud: Cloud, state: dict[str, Array]) -> None:
 def budget_state(budget: Budget) -> dict[str, Array]:
     """All that a budget is."""
     rows = [[a.volume, *a.momentum, a.kinetic, a.potential] for a in budget.of.values()]
-    return {"budget": np.array(rows), "owed": budget.owed}
+    return {"budget": np.array(rows), "owed": budget.owed, "jolted": np.array(budget.jolted)}
 
 
 def restore_budget(budget: Budget, state: dict[str, Array]) -> None:
     for name, row in zip(budget.of, state["budget"]):
         budget.of[name] = Amount(float(row[0]), row[1:-2].copy(), float(row[-2]), float(row[-1]))
     budget.owed = state["owed"].copy()
+    budget.jolted = bool(state["jolted"])

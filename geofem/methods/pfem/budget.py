@@ -72,11 +72,15 @@ class Budget:
     separate : thin parts cut away. restore : the volume that merge, separate and wall made, taken back from or given to
     the free surface near by. owed (k, gdim + 1) : places and volumes that could not be given back yet.
     gravity : (gdim,) (m/s2), for the potential energy.
+    jolted : set where velocities jumped (nodes caught by an obstacle or let go, fronts joined or cut) and so are not solenoidal.
+    The trapezoidal rule would carry the jump on for ever, with its sign alternating from step to step: who steps with
+    theta = 1/2 takes one step of theta = 1, and sets it back.
     """
 
     gravity: Array
     of: dict[str, Amount] = field(default_factory=dict)
     owed: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    jolted: bool = False
 
     def __post_init__(self) -> None:
         self.gravity = np.asarray(self.gravity, float)

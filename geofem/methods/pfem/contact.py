@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from geofem.methods.pfem.budget import Amount, Budget, lumped
+from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.mistake import Mistake
 from geofem.scene import Array, Rigid, Scene, Wall
@@ -49,10 +49,14 @@ class Plane:
         grid = np.meshgrid(*[np.linspace(a, b, 23) for a, b in zip(low, high)], indexing="ij")
         lines = np.stack([g.ravel() for g in grid])
         out, beyond = lines.copy(), lines.copy()  # a wall may end: look for it along many lines
-        out[axis] = 0.5 * (low + high)[axis] + 2 * span * self.normal[axis]
-        beyond[axis] = 0.5 * (low + high)[axis] - 2 * span * self.normal[axis]
-        found = np.asarray(wall.where(beyond), bool) & ~np.asarray(wall.where(out), bool)
-        if not found.any():
+        for _ in range(30):
+            out[axis] = 0.5 * (low + high)[axis] + span * self.normal[axis]
+            beyond[axis] = 0.5 * (low + high)[axis] - span * self.normal[axis]
+            found = np.asarray(wall.where(beyond), bool) & ~np.asarray(wall.where(out), bool)
+            if found.any():
+                break
+            span *= 2
+        else:
             raise Mistake(f"wall {wall.name}: its 'where' is true nowhere behind the bodies; is its normal from wall to body?")
         out, beyond = out[:, found][:, :1], beyond[:, found][:, :1]
         for _ in range(200):
@@ -183,8 +187,8 @@ class Obstacles:
     def clip(self, cloud: Cloud, cells: Array, budget: Budget) -> Array:
         """Put nodes that went through an obstacle, or that rest on it, back onto it, and stop what moves into it.
 
-        Momentum goes to the obstacle, and is booked as ``wall``; so is the volume (m2 or m3) that this made. Returns the
-        displacements (n, gdim) (m).
+        Momentum goes to the obstacle, and is booked as ``wall``; so is the volume (m2 or m3) that this made, which in the plane is
+        owed to the free surface near by. Returns the displacements (n, gdim) (m).
         """
         before = Amount.of(cloud, cells, budget.gravity)
         start, field = cloud.x.copy(), cloud.fields["held"]
@@ -192,10 +196,11 @@ class Obstacles:
             distance, normals = solid.reach(cloud.x)
             into = np.einsum("nd,nd->n", cloud.v - solid.velocity, normals)  # < 0: moves into the obstacle
             held = field[:, o] > 0.999
-            reached = (distance < 0) | (distance < TOUCH * cloud.size) & (into <= 0)
+            reached = (distance < 0) | (distance < TOUCH * cloud.size) & (into < 0)
             gone = held & ~np.isfinite(distance)  # slid off the end of a wall
             field[gone, o] = 0.0
             on = np.flatnonzero((held | reached) & ~gone & np.isfinite(distance))
+            budget.jolted |= bool((field[on, o] < 0.999).any())
             field[on, o] = 1.0
             cloud.x[on] = solid.put(cloud.x[on], distance[on], normals[on])
             cloud.v[on] -= into[on, None] * normals[on]
@@ -203,9 +208,16 @@ class Obstacles:
                 cloud.v[on] = solid.velocity
             field[cloud.carried > 0, o] = 0.0  # what flies slides along it, and may leave at once
         budget.book("wall", Amount.of(cloud, cells, budget.gravity) - before)
+        moved = (cloud.x != start).any(axis=1)
+        if cloud.x.shape[1] == 2 and moved.any():
+            near = cells[moved[cells].any(axis=1)]
+            made = volumes(cloud.x, near) - volumes(start, near)
+            made[np.abs(made) < 1e-14 * cloud.size[near].mean(axis=1) ** 2] = 0.0
+            due = np.column_stack([cloud.x[near].mean(axis=1), -made])[made != 0]
+            budget.owed = np.concatenate([budget.owed, due])
         return cloud.x - start
 
-    def release(self, cloud: Cloud, force: Array, cells: Array) -> Array:
+    def release(self, cloud: Cloud, force: Array, cells: Array, budget: Budget) -> Array:
         """Let go of nodes that pull at an obstacle: force (n, gdim) (N) of the obstacles on the nodes. Returns who, (n,) bool.
 
         A node that was let go is held again when it has come back through the obstacle, or moves towards it within its touch.
@@ -218,4 +230,5 @@ class Obstacles:
             pull = (field[:, o] > 0.999) & (np.einsum("nd,nd->n", force, normals) < -scale) & (mass > 0)
             field[pull, o] = 0.0
             let |= pull
+        budget.jolted |= bool(let.any())
         return let

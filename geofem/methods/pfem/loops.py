@@ -12,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from geofem.scene import Array
+
 kernel = njit(cache=True, error_model="numpy")
 
 
@@ -112,24 +114,23 @@ def crosses(x, node, nxt, a, b):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel
-def by_left_end(x, node, nxt):  # type: ignore[no-untyped-def]
+def by_left_end(x: Array, node: Array, nxt: Array) -> tuple[Array, Array, float]:
     """The used slots in the order of the left ends of their edges, these ends, and the width of the widest edge (m)."""
-    used = np.nonzero(node >= 0)[0]
-    left = np.empty(len(used))
-    widest = 0.0
-    for k in range(len(used)):
-        xa, xb = x[node[used[k]], 0], x[node[nxt[used[k]]], 0]
-        left[k] = min(xa, xb)
-        widest = max(widest, abs(xa - xb))
-    order = np.argsort(left)
-    return used[order], left[order], widest
+    used = np.flatnonzero(node >= 0)
+    one, two = x[node[used], 0], x[node[nxt[used]], 0]
+    left = np.minimum(one, two)
+    order = np.argsort(left, kind="stable")
+    return used[order], left[order], float(np.abs(one - two).max(initial=0.0))
 
 
-@kernel
-def first_crossing(x, node, nxt):  # type: ignore[no-untyped-def]
+def first_crossing(x: Array, node: Array, nxt: Array) -> tuple[int, int]:
     """Two slots whose edges cross each other, (-1, -1) if none do."""
     slots, left, _ = by_left_end(x, node, nxt)
+    return look_for_crossing(x, node, nxt, slots, left)
+
+
+@kernel
+def look_for_crossing(x, node, nxt, slots, left):  # type: ignore[no-untyped-def]
     for k in range(len(slots)):
         a, b = node[slots[k]], node[nxt[slots[k]]]
         right = max(x[a, 0], x[b, 0])
@@ -193,16 +194,19 @@ def pick_facing(x, node, nxt, prv, s, t, sign):  # type: ignore[no-untyped-def]
     return best
 
 
-@kernel
-def nearest(x, v, node, nxt, prv, reach):  # type: ignore[no-untyped-def]
+def nearest(x: Array, v: Array, node: Array, nxt: Array, prv: Array, reach: Array) -> tuple[Array, Array, Array]:
     """What each corner of the boundary faces within ``reach`` (n,) (m), through the outside and through the body.
 
     Returns for the two of them, outside first, (2, k): the slot of the edge (-1: none so near), its distance (m, reach if none),
     and the speed (m/s) at which it comes nearer.
     """
+    return look_around(x, v, node, nxt, prv, reach, *by_left_end(x, node, nxt))
+
+
+@kernel
+def look_around(x, v, node, nxt, prv, reach, slots, left, widest):  # type: ignore[no-untyped-def]
     k = len(node)
     slot, distance, closing = np.full((2, k), -1), np.empty((2, k)), np.zeros((2, k))
-    slots, left, widest = by_left_end(x, node, nxt)
     for s in range(k):
         i = node[s]
         if i < 0:

@@ -41,22 +41,22 @@ def spare(short, removable, n):  # type: ignore[no-untyped-def]
     return gone
 
 
-@kernel
-def beside(x, size, who, facets, room):  # type: ignore[no-untyped-def]
+def beside(x: Array, size: Array, who: Array, facets: Array, room: float) -> Array:
     """Which of the nodes (n,) bool ``who`` are nearer to a boundary edge (k, 2) than ``room`` sizes, (n,) bool."""
+    ends = x[facets, 0]
+    left = ends.min(axis=1)
+    order = np.argsort(left, kind="stable")
+    return look_beside(x, room * size, who, facets[order], left[order], float(np.ptp(ends, axis=1).max(initial=0.0)))
+
+
+@kernel
+def look_beside(x, near, who, facets, left, widest):  # type: ignore[no-untyped-def]
     found = np.zeros(len(x), np.bool_)
-    left, widest = np.empty(len(facets)), 0.0
-    for k in range(len(facets)):
-        xa, xb = x[facets[k, 0], 0], x[facets[k, 1], 0]
-        left[k] = min(xa, xb)
-        widest = max(widest, abs(xa - xb))
-    order = np.argsort(left)
-    left = left[order]
     for i in range(len(x)):
-        reach = room * size[i]
+        reach = near[i]
         k = np.searchsorted(left, x[i, 0] - reach - widest)
-        while who[i] and not found[i] and k < len(order) and left[k] <= x[i, 0] + reach:
-            a, b = facets[order[k]]
+        while who[i] and not found[i] and k < len(left) and left[k] <= x[i, 0] + reach:
+            a, b = facets[k]
             k += 1
             ex, ey, dx, dy = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[i, 0] - x[a, 0], x[i, 1] - x[a, 1]
             share = min(max((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
@@ -84,7 +84,9 @@ def removable(cloud: Cloud, cells: Array, facets: Array, held: Array, rules: Rul
     inner = np.zeros(cloud.n, bool)
     inner[cells] = True
     inner[facets] = False
-    inner &= ~held.any(axis=1) & (cloud.carried == 0)
+    inner &= cloud.carried == 0
+    if not rules.boundary:
+        inner &= ~held.any(axis=1)
     edges = edges_of(cells)
     a, b = edges.T
     length = np.linalg.norm(cloud.x[a] - cloud.x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
@@ -169,6 +171,20 @@ def tessellate(cloud: Cloud, old: Tessellation, tessellator: Tessellator, rules:
     return Tessellation(grounded[new.cells], grounded[new.facets], new.parents)
 
 
+def refused(x: Array, facets: Array, new: Tessellation) -> Array:
+    """Place and area (1, 3) that the cells lack of what the boundary (k, 2) enclosed, (0, 3) if they have it all.
+
+    For where edges run into each other none of which was found to cross, the tessellator has the last word.
+    """
+    a, b = x[facets[:, 0]], x[facets[:, 1]]
+    lacking = 0.5 * float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()) - float(volumes(x, new.cells).sum())
+    key = len(x)
+    lost = facets[~np.isin(facets @ [key, 1], new.facets @ [key, 1])]
+    if len(lost) == 0:
+        return np.zeros((0, 3))
+    return np.array([[*x[lost].mean(axis=(0, 1)), lacking]])
+
+
 def remesh(
     cloud: Cloud,
     tessellation: Tessellation,
@@ -188,6 +204,8 @@ def remesh(
     facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
     if rules.boundary:
         facets, useless, links = change_boundary(cloud, facets, obstacles, rules, dt, budget)
+    else:
+        budget.owed = budget.owed[:0]
     links = cloud.id[links]
     gone = useless | removable(cloud, tessellation.cells, facets, obstacles.held(cloud), rules)
     whole = ~(gone | (cloud.carried > 0))[tessellation.cells].any(axis=1)
@@ -201,7 +219,9 @@ def remesh(
         parents = new.cells[big]
         cloud.add(parents, np.full(parents.shape, 1 / parents.shape[1]))
         new = tessellate(cloud, Tessellation(old.cells, new.facets, rows), tessellator, rules)
-    if rules.boundary:  # nodes that the boundary has passed over
+    if rules.boundary:
+        budget.owed = np.concatenate([budget.owed, refused(cloud.x, old.facets, new)])
+        # Nodes that the boundary has passed over go.
         used = cloud.carried > 0
         used[new.cells] = True
         number = np.cumsum(used) - 1
@@ -210,13 +230,13 @@ def remesh(
     new = Tessellation(new.cells, new.facets, np.where(new.parents >= 0, rows[new.parents], -1))
     touch = obstacles.touch(cloud)
     balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
-    change = Amount.of(cloud, new.cells, budget.gravity) - start
-    budget.book("resample", change - (budget.total() - booked))
+    change = Amount.of(cloud, new.cells, budget.gravity) - start - (budget.total() - booked)
+    budget.book("resample", change)
     return new
 
 
-def needs(cloud: Cloud, tessellation: Tessellation, rules: Rules, dt: float) -> bool:
-    """Whether anything asks for ``remesh``: bad or big cells, edges, fronts that meet within dt (s), something flying."""
+def needs(cloud: Cloud, tessellation: Tessellation, rules: Rules, budget: Budget, dt: float) -> bool:
+    """Whether anything asks for ``remesh``: bad or big cells, edges, fronts that meet within dt (s), volume owed or flying."""
     x, cells, facets = cloud.x, tessellation.cells, tessellation.facets
     volume = volumes(x, cells)
     a, b = edges_of(cells).T
@@ -233,7 +253,7 @@ def needs(cloud: Cloud, tessellation: Tessellation, rules: Rules, dt: float) -> 
         return False
     a, b = facets.T
     length = np.linalg.norm(x[a] - x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
-    if (length > rules.coarse).any() or (cloud.carried > 0).any():
+    if (length > rules.coarse).any() or (cloud.carried > 0).any() or np.abs(budget.owed[:, 2]).sum() > 1e-9 * volume.max():
         return True
     node, nxt, prv = link(x, facets)
     speed = np.linalg.norm(cloud.v - cloud.v[a].mean(axis=0), axis=1)[a].max(initial=0.0)

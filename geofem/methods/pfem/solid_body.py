@@ -40,7 +40,7 @@ class Body:
         self._system: System | None = None
         self.configure()
         self.start = {"volume": self.volume()}
-        self.mass = self.lumped()
+        self.mass, self._mass_region = self.lumped(), cloud.region
         self.start["mass"] = float(self.mass.sum())
 
     # --- geometry -----------------------------------------------------------------------------------------------------
@@ -61,13 +61,18 @@ class Body:
             steady = 2.0 * self.laws.lame[:, 1] * self.stabilisation
             self._hold = deviatoric(steady)
 
-    def connect(self, cells: Array) -> None:
-        """Take other cells of the same or other nodes; the history must fit them already."""
-        self.cells, self.facets = cells, facets_of(cells)
+    def renew(self, cells: Array, facets: Array, history: History) -> None:
+        """Take other cells, on nodes that may be others, with their history. The mass of each region stays what it was."""
+        self.cells, self.facets, self.history = cells, facets, history
         if self._system is not None:
             self._system.destroy()
             self._system = None
+        before = np.bincount(self._mass_region, self.mass, len(self.scene.regions))
         self.configure()
+        mass = self.lumped()
+        after = np.bincount(self.cloud.region, mass, len(self.scene.regions))
+        self.mass = mass * np.divide(before, after, out=np.ones_like(after), where=after > 0)[self.cloud.region]
+        self._mass_region = self.cloud.region
 
     @property
     def system(self) -> System:
@@ -158,7 +163,7 @@ class Body:
 
     def _last_stress(self) -> Array:
         """Stresses at the start of the step, (d, 4)."""
-        return self.laws.respond(self.history, np.zeros((self.domains.n, 4)), np.inf).P
+        return self.laws.respond(self.history, np.zeros((self.domains.n, 4)), 0.0).P
 
     # --- supports and loads ---------------------------------------------------------------------------------------------
     def supported(self) -> list[Array]:

@@ -17,6 +17,8 @@ from geofem.mistake import Mistake
 from geofem.scene import Array, Rigid, Scene, Wall
 
 STIFF = 10.0
+CORNER, REACH = 0.05, 2.0
+"""In sizes: how far in front of another face a node must be to change to it, and how far off nodes may touch in a step."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +86,14 @@ def plane_of(wall: Wall, scene: Scene) -> Array:
 class Touch:
     """The contact of the nodes with one obstacle in a step.
 
-    nodes : (k,) that may touch. normal : (k, 2). start : (k,) distance before the step. slip : (k, 2) tangential spring (m) before it.
+    nodes : (k,) that may touch, each a face, with its normal (k, 2). start : (k,) distance (m) before the step, slip : (k, 2) the
+        tangential spring (m).
     force : (k, 2) on the nodes, as last evaluated; stretch : (k, 2) the spring that goes with it. move : (2,) of the obstacle.
     """
 
     obstacle: Obstacle
     nodes: Array
+    face: Array
     normal: Array
     start: Array
     slip: Array
@@ -97,6 +101,13 @@ class Touch:
     stiffness: Array
     force: Array
     stretch: Array
+
+    def remember(self, n: int) -> Array:
+        """(n, 3) of all nodes for the next step: the tangential spring (m) and one more than the face, 0 where nothing touches."""
+        out = np.zeros((n, 3))
+        touching = np.any(self.force != 0.0, axis=1)
+        out[self.nodes[touching]] = np.column_stack([self.stretch, self.face + 1.0])[touching]
+        return out
 
     def evaluate(self, du: Array) -> Array:
         """Forces on the nodes for the displacement du (n, 2) in this step; returns their stiffness (k, 2, 2)."""
@@ -124,14 +135,22 @@ class Touch:
 
 
 def begin(
-    obstacle: Obstacle, x: Array, t0: float, t1: float, nodes: Array, slip: Array, stiffness: Array, reach: float
+    obstacle: Obstacle, x: Array, t0: float, t1: float, nodes: Array, memory: Array, stiffness: Array, size: Array
 ) -> Touch:
-    """The contact of the ``nodes`` at x (n, 2) with an obstacle in the step from t0 to t1, but for those beyond ``reach`` (m)."""
+    """The contact of the ``nodes`` at x (n, 2) with an obstacle in the step from t0 to t1, but for those far off.
+
+    memory : (n, 3) what ``remember`` left. size : (n,) spacing (m).
+    """
     distance = obstacle.distances(x[nodes], t0)
     face = np.argmax(distance, axis=1)
-    start = distance[np.arange(len(nodes)), face]
+    every = np.arange(len(nodes))
+    # a node at a corner keeps its face until it is clearly in front of another one; a new node between two faces has none
+    old = np.rint(memory[nodes, 2]).astype(int) - 1
+    known = (old >= 0) & (np.abs(memory[nodes, 2] - 1 - old) < 1e-9) & (distance.max(axis=1) < CORNER * size[nodes])
+    face = np.where(known, old, face)
+    start = distance[every, face]
     move = obstacle.shift(t1) - obstacle.shift(t0)
-    near = start < reach + np.linalg.norm(move)
+    near = start < REACH * size[nodes] + np.linalg.norm(move)
     nodes, face, start = nodes[near], face[near], start[near]
-    return Touch(obstacle, nodes, obstacle.normals[face], start, slip[nodes], move, stiffness[nodes], np.zeros((len(nodes), 2)),
-                 np.zeros((len(nodes), 2)))  # fmt: skip
+    return Touch(obstacle, nodes, face, obstacle.normals[face], start, memory[nodes, :2], move, stiffness[nodes],
+                 np.zeros((len(nodes), 2)), np.zeros((len(nodes), 2)))  # fmt: skip

@@ -116,7 +116,7 @@ class Laws:
         """Cauchy stress (d, 4): xx, yy, zz, xy, of the state as it is."""
         if self.small:
             return history.state.copy()
-        answer = self.respond(history, np.zeros((len(history.F), 4)), np.inf)
+        answer = self.respond(history, np.zeros((len(history.F), 4)), 0.0)
         lame = self.lame[history.region]
         plane = 0.5 * lame[:, 0] / (lame[:, 0] + lame[:, 1])
         zz = np.where(np.array(self.path)[history.region], self._across(history), plane * (answer.P[:, 0] + answer.P[:, 3]))

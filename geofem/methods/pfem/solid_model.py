@@ -9,24 +9,31 @@ from mpi4py import MPI
 
 from geofem import materials
 from geofem.core import mesh as meshes
+from geofem.core import meshing
 from geofem.core.mpi import on_root
 from geofem.core.sampling import quantile
 from geofem.methods.pfem import solid_body
 from geofem.methods.pfem.solid_body import STATES, Body
+from geofem.methods.pfem.solid_dynamic import Dynamic
+from geofem.methods.pfem.solid_remesh import TRANSFERS, Remesher
 from geofem.methods.pfem.solid_static import Static
 from geofem.mistake import Mistake, unknown
-from geofem.scene import Array, Probe, Scene
+from geofem.scene import Array, Box, MeshFile, Probe, Scene
 
 STABILISATION = 2e-3
 """Default share of the shear stiffness: with a hundredth the strip footing bears 3 % more, with none Newton takes four times as many
 iterations."""
+STEPS_PER_CELL = 4
+"""Load steps in which a rigid body goes the scene's length, by the cells across it."""
+DAMPING = 0.02
+"""The same for explicit steps, which are so short that it is the damping ratio of the shortest waves."""
 
 
 class SolidModel:
     """Solids whose nodes are the material; see ``build_solid`` for the knobs."""
 
-    def __init__(self, scene: Scene, body: Body, solver: Static):
-        self.scene, self.body, self.solver = scene, body, solver
+    def __init__(self, scene: Scene, body: Body, solver: Static | Dynamic, remesher: Remesher | None):
+        self.scene, self.body, self.solver, self.remesher = scene, body, solver, remesher
         self.t = 0.0
         self.comm = body.comm
         self.work = {"steps": 0, "newton": 0, "linear": 0, "point_steps": 0, "remeshes": 0}
@@ -43,6 +50,9 @@ class SolidModel:
         self.t = self.solver.step(self.t, dt)
         self.work["steps"] += 1
         self.work["newton"] = self.work["linear"] = self.solver.iterations
+        if self.remesher is not None:
+            self.remesher.look(self.t, dt if self.scene.dynamic else 0.0)
+            self.work["remeshes"] = self.remesher.count
 
     # --- what the runner asks -------------------------------------------------------------------------------------------
     def _around(self, probe: Probe) -> tuple[Array, Array, int]:
@@ -154,36 +164,64 @@ def refuses_solid(scene: Scene) -> str | None:
     return None
 
 
-def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bool = True, stabilisation: float = STABILISATION,
-                grading: float | None = None, steps: int | None = None, tolerance: float | None = None) -> SolidModel:  # fmt: skip
+def inside(scene: Scene, point: tuple[float, ...]) -> bool:
+    """Whether a point lies in a body or on its boundary."""
+    return any(
+        bool(region.shape.contains(np.array(point)[:, None])[0])
+        for region in scene.regions
+        if not isinstance(region.shape, MeshFile)
+    )
+
+
+def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bool | None = None, stabilisation: float | None = None,
+                grading: float | None = None, steps: int | None = None, tolerance: float | None = None, remesh: bool = True,
+                transfer: str = "copy") -> SolidModel:  # fmt: skip
     """The model of a scene of solids.
 
-    n : cells across the scene's length. state : where history lives, nodal or points (in the triangles).
-    cured : of points, whether the change of volume is averaged around nodes against locking.
+    n : cells across the scene's length. state : where history lives, nodal or points (in the triangles); by default nodal for plastic laws.
+    cured : of points, whether the change of volume is averaged around nodes against locking; by default in scenes without inertia.
+        In motion the average leaves modes free in which neighbouring triangles swell and shrink: a collapsing column gains a third.
     stabilisation : see ``Body``. grading : of the first mesh towards the scene's singular points, as of fem.
     steps : load steps of a scene without inertia. tolerance : of Newton's method, 1e-9, and 1e-5 for plastic laws.
 
+    remesh : False keeps the first triangles. transfer : of history in triangles that were made anew, copy (of the nearest) or average.
+
     Raises ``Mistake`` for a knob or a material out of range.
     """
-    state = state or "nodal"
+    plastic = any(materials.LAWS[region.material.law].history for region in scene.regions)
+    state = state or ("nodal" if plastic else "points")
     if state not in STATES:
         raise unknown("state", state, STATES)
     for name, value in (("n", n), ("steps", steps)):
         if value is not None and (not isinstance(value, int) or value < 1):
             raise Mistake(f"knob {name} = {value!r}: give a whole number, at least 1")
+    if transfer not in TRANSFERS:
+        raise unknown("transfer", transfer, TRANSFERS)
+    cured = not scene.dynamic if cured is None else cured
+    if stabilisation is None:
+        stabilisation = DAMPING if scene.dynamic else STABILISATION
     if not stabilisation >= 0:
         raise Mistake(f"knob stabilisation = {stabilisation:g} must not be negative")
     for region in scene.regions:
         materials.check(region.material, f"region {region.name!r}")
-    plastic = any(materials.LAWS[region.material.law].history for region in scene.regions)
     grading = grading if grading is not None else (2.0 if plastic and scene.strain == "small" else 1.0)
     comm = MPI.COMM_WORLD
 
     def made() -> Any:
-        mesh = meshes.serial(scene, n, "triangle", grading)
+        corners = [p for rigid in scene.rigids for p in rigid.shape.points if inside(scene, p)]
+        shapes = [region.shape for region in scene.regions]
+        if corners or not all(isinstance(meshing.upright(shape), Box | MeshFile) for shape in shapes):
+            poles, law = (corners, 2.0) if corners else (scene.singular, grading)
+            mesh = meshing.fragments(scene.regions, shapes, scene.length, scene.length / n, "triangle", poles, law)
+        else:
+            mesh = meshes.serial(scene, n, "triangle", grading)
         return solid_body.start(scene, mesh.points, mesh.cells, mesh.regions, scene.length / n)
 
     cloud, cells = comm.bcast(on_root(comm, made))
     body = Body(scene, cloud, cells, state, cured, stabilisation, comm)
-    steps = steps or 10
-    return SolidModel(scene, body, Static(body, scene.t_end / steps, tolerance or (1e-5 if plastic else 1e-9)))
+    remesher = Remesher(body, scene.length / n, transfer) if remesh and scene.strain == "finite" else None
+    if scene.dynamic:
+        return SolidModel(scene, body, Dynamic(body), remesher)
+    steps = steps or (STEPS_PER_CELL * n if scene.rigids else 10)
+    static = Static(body, scene.t_end / steps, tolerance or (1e-5 if plastic else 1e-9))
+    return SolidModel(scene, body, static, remesher)

@@ -36,7 +36,7 @@ class Static:
         self.tolerance = tolerance
         self.obstacles = solid_contact.obstacles(body.scene)
         for k in range(len(self.obstacles)):
-            body.cloud.fields[f"slip{k}"] = np.zeros((body.cloud.n, 2))
+            body.cloud.fields[f"touch{k}"] = np.zeros((body.cloud.n, 3))
         scene = self.scene
         names = [*(s.name for s in scene.supports), *(w.name for w in scene.walls), *(r.name for r in scene.rigids)]
         self.reaction = {name: np.zeros(2) for name in names}
@@ -73,22 +73,22 @@ class Static:
         loads = body.loads(t1)
         touches = self._touches(t0, t1)
         du = np.zeros((n, 2))
-        answer, force, blocks = self._evaluate(du, loads, touches)
+        answer, force, blocks = self._evaluate(du, t1 - t0, loads, touches)
         pending = bool(np.any(np.abs(target[fixed]) > 0))
         norms: list[float] = []
         stiff = float(np.max(body.laws.lame @ [1.0, 2.0]))
-        self._mixed = False
         for _ in range(ITERATIONS):
             norm, scale = self._norms(force, fixed, loads, touches)
             if not pending and norm <= max(self.tolerance * scale, ROUNDING * stiff * float(np.linalg.norm(du))):
                 break
-            norms.append(norm)
+            if not pending:
+                norms.append(norm)
             correction = self._correct(
                 answer, force, blocks, touches, fixed, target - du if pending else np.zeros_like(du), norms
             )
             length, before = 1.0, norm
             for _ in range(HALVINGS):
-                answer, force, blocks = self._evaluate(du + length * correction, loads, touches)
+                answer, force, blocks = self._evaluate(du + length * correction, t1 - t0, loads, touches)
                 if answer.valid and (pending or self._norms(force, fixed, loads, touches)[0] < 0.999 * before):
                     break
                 length *= 0.5
@@ -96,7 +96,7 @@ class Static:
                 raise Breakdown("tangle", "a domain turns inside out however short the correction")
             du = du + length * correction
             pending = pending and length < 1.0
-            if norm > 1e8 * max(norms[0], scale):
+            if norm > 1e8 * max(norms[0] if norms else norm, scale):
                 raise Breakdown("newton", f"the force grows to {norm:.1e}")
         else:
             raise Breakdown("newton", f"no balance in {ITERATIONS} iterations: force {norm:.1e} among forces of {scale:.1e}")
@@ -113,15 +113,14 @@ class Static:
         edge = body.boundary()
         lame = body.laws.lame[cloud.region]
         stiffness = solid_contact.STIFF * (lame[:, 0] + 2.0 * lame[:, 1])
-        reach = 2.0 * float(cloud.size.max())
         return [
-            solid_contact.begin(o, cloud.x, t0, t1, edge, cloud.fields[f"slip{k}"], stiffness, reach)
+            solid_contact.begin(o, cloud.x, t0, t1, edge, cloud.fields[f"touch{k}"], stiffness, cloud.size)
             for k, o in enumerate(self.obstacles)
         ]
 
-    def _evaluate(self, du: Array, loads: Array, touches: list[Touch]) -> tuple[Answer, Array, list[Array]]:
+    def _evaluate(self, du: Array, dt: float, loads: Array, touches: list[Touch]) -> tuple[Answer, Array, list[Array]]:
         """The answer, the nodal forces out of balance (n, 2), and the stiffness of the contacts."""
-        answer, inner = self.body.respond(du, np.inf)
+        answer, inner = self.body.respond(du, dt)
         force = loads - inner
         blocks = []
         for touch in touches:
@@ -138,9 +137,8 @@ class Static:
     def _correct(self, answer: Answer, force: Array, blocks: list[Array], touches: list[Touch], fixed: Array, given: Array,
                  norms: list[float]) -> Array:  # fmt: skip
         body = self.body
-        if len(norms) > CIRCLE and min(norms[-CIRCLE:]) > 0.5 * min(norms[:-CIRCLE]):
-            self._mixed = True
-        for mixed in (self._mixed, True):
+        circling = len(norms) > CIRCLE and min(norms[-CIRCLE:]) > 0.5 * min(norms[:-CIRCLE])
+        for mixed in (circling, True):
             A = answer.A
             if mixed:
                 A = (1.0 - ELASTIC_SHARE) * A + ELASTIC_SHARE * hooke(body.laws.lame)[body.history.region]
@@ -162,9 +160,7 @@ class Static:
             self.reaction[support.name] = np.array([held[nodes, c].sum() if c in support.components else 0.0 for c in range(2)])
         for k, touch in enumerate(touches):
             self.reaction[touch.obstacle.name] = touch.force.sum(axis=0)
-            slip = np.zeros((self.body.cloud.n, 2))
-            slip[touch.nodes] = touch.stretch
-            self.body.cloud.fields[f"slip{k}"] = slip
+            self.body.cloud.fields[f"touch{k}"] = touch.remember(self.body.cloud.n)
             self.external += float(np.sum(touch.force @ touch.move))
         self.external += float(np.sum((held + loads) * du))
         self.internal += self.body.accept(du, answer)

@@ -10,7 +10,7 @@ from geofem.methods.pfem.budget import Budget
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Obstacles
 from geofem.methods.pfem.loops import first_crossing, link, nearest, tally, winding
-from geofem.methods.pfem.surgery import MERGE, RESAMPLE, SEPARATE, collapse, give, join_and_part, uncross
+from geofem.methods.pfem.surgery import MERGE, RESAMPLE, SEPARATE, Event, collapse, give, join_and_part, uncross, unfold
 from geofem.scene import Array
 
 
@@ -89,10 +89,10 @@ def change_boundary(
     x, v = np.ascontiguousarray(cloud.x), np.ascontiguousarray(cloud.v)
     loops = Loops.of(x, facets)
     useless = np.zeros(cloud.n, bool)
-    events = [*uncross(x, loops.node, loops.nxt, loops.prv)]
+    arrays = (loops.node, loops.nxt, loops.prv)
+    events = [*unfold(x, *arrays), *uncross(x, *arrays), *unfold(x, *arrays)]
     speed = np.linalg.norm(v - v[facets[:, 0]].mean(axis=0), axis=1)
     reach = np.minimum(max(rules.gap, rules.neck) * cloud.size + 2 * dt * speed[facets].max(initial=0.0), 1.5 * cloud.size)
-    arrays = (loops.node, loops.nxt, loops.prv)
     events += join_and_part(x, v, cloud.size, cloud.region, held, *arrays, reach, dt, rules.gap, rules.neck)
     events += drop_loops(cloud, x, loops, rules, useless)
     pairs, more = collapse(x, cloud.size, level, tangent, held, *arrays, rules.fine)
@@ -105,6 +105,7 @@ def change_boundary(
                 budget.book(name, budget.made(area, np.array(at)))
     due = np.array([(*at, -area) for _, area, *at in events]).reshape(-1, 3)
     links = give_back(cloud, loops, rules, level, useless, np.concatenate([budget.owed, due]), budget)
+    budget.jolted |= len(links) > 0 or any(kind != RESAMPLE for kind, *_ in events)
     return loops.facets(), useless, links
 
 
@@ -126,9 +127,9 @@ def round_about(loops: Loops, slot: int) -> Array:
     return np.array(slots)
 
 
-def drop_loops(cloud: Cloud, x: Array, loops: Loops, rules: Rules, useless: Array) -> list[tuple[float, float, float, float]]:
+def drop_loops(cloud: Cloud, x: Array, loops: Loops, rules: Rules, useless: Array) -> list[Event]:
     """Loops that are not to be: overlaps left by uncrossing, small holes, and small pieces, which fly from now on."""
-    events = []
+    events: list[Event] = []
     loop, areas, _ = tally(x, loops.node, loops.nxt)
     uses = np.bincount(loops.node[loops.node >= 0], minlength=cloud.n)
     for number in np.argsort(areas)[:-1]:  # the largest body stays, whatever it is

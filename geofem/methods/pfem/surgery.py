@@ -5,23 +5,48 @@ from __future__ import annotations
 import numpy as np
 
 from geofem.methods.pfem.loops import change, cross, crosses, first_crossing, kernel, nearest, pick_facing, reconnect
+from geofem.scene import Array
 
 MERGE, SEPARATE, RESAMPLE = 0, 1, 2
-"""Kinds of events. An event is a row: kind, area (m2) that was added, and the place x, y (m)."""
+"""Kinds of events."""
+Event = tuple[float, float, float, float]
+"""Kind, area (m2) that was added, and the place x, y (m)."""
 CONTACT = 0.02
 """Fronts nearer than this part of the size are joined, and necks thinner are cut, however they move."""
 
 
-@kernel
-def uncross(x, node, nxt, prv):  # type: ignore[no-untyped-def]
-    """Reconnect edges that cross each other until none do. Each time the boundary gets shorter, so it ends. Returns events."""
-    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+FOLD = 1e-3
+"""An angle (rad) below which two edges of the boundary lie on each other; an edge that much shorter than the next is none."""
+
+
+def uncross(x: Array, node: Array, nxt: Array, prv: Array) -> list[Event]:
+    """Reconnect edges that cross each other until none do; the boundary gets shorter each time, so it ends."""
+    events = []
     s, t = first_crossing(x, node, nxt)
     while s >= 0:
-        a = node[s]
-        events.append((float(MERGE), change(x, node, nxt, s, t), x[a, 0], x[a, 1]))
+        events.append((float(MERGE), change(x, node, nxt, s, t), *x[node[s]]))
         reconnect(node, nxt, prv, s, t)
         s, t = first_crossing(x, node, nxt)
+    return events
+
+
+@kernel
+def unfold(x, node, nxt, prv):  # type: ignore[no-untyped-def]
+    """Leave out corners where the boundary turns back on itself, as where nodes overtook each other on a wall. Returns events."""
+    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    done = False
+    while not done:
+        done = True
+        for s in range(len(node)):
+            if node[s] < 0:
+                continue
+            p, i, n = node[prv[s]], node[s], node[nxt[s]]
+            ax, ay, bx, by = x[p, 0] - x[i, 0], x[p, 1] - x[i, 1], x[n, 0] - x[i, 0], x[n, 1] - x[i, 1]
+            a, b = np.hypot(ax, ay), np.hypot(bx, by)
+            if min(a, b) < FOLD * max(a, b) or (ax * bx + ay * by > 0.0 and abs(ax * by - ay * bx) < FOLD * a * b):
+                events.append((float(RESAMPLE), -0.5 * cross(x, p, i, n), x[i, 0], x[i, 1]))
+                reconnect(node, nxt, prv, prv[s], s)
+                done = False
     return events
 
 
@@ -34,74 +59,80 @@ def share_obstacle(held, a, b):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel
-def join_and_part(x, v, size, region, held, node, nxt, prv, reach, dt, gap, neck):  # type: ignore[no-untyped-def]
-    """Join fronts that close in on each other, cut necks that get thinner, nearest first. Returns events.
+def join_and_part(
+    x: Array, v: Array, size: Array, region: Array, held: Array, node: Array, nxt: Array, prv: Array, reach: Array, dt: float,
+    gap: float, neck: float,
+) -> list[Event]:  # fmt: skip
+    """Join fronts that close in on each other, cut necks that get thinner, nearest first.
 
     Fronts are joined below the distance ``gap`` and necks cut below the width ``neck``, both in sizes; fronts that will be half
     as near within dt (s) are joined at once. reach (n,): how far to look (m).
     """
-    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    events: list[Event] = []
     for _ in range(10):
         slot, distance, closing = nearest(x, v, node, nxt, prv, reach)
-        wanted = np.full(slot.shape, 1e300)
-        for side in range(2):
-            for s in range(len(node)):
-                e = slot[side, s]
-                if node[s] < 0 or e < 0:
-                    continue
-                h, d, c = size[node[s]], distance[side, s], closing[side, s]
-                near = d < CONTACT * h or (c > 0.0 and d < (gap if side == 0 else neck) * h)
-                if near or (side == 0 and c > 0.0 and d - dt * c < 0.5 * gap * h):
-                    wanted[side, s] = d / h
-        done = 0
-        for k in np.argsort(wanted.ravel()):
-            side, s = divmod(int(k), len(node))
-            if wanted[side, s] == 1e300:
-                break
-            t = slot[side, s]
-            if node[s] < 0 or node[t] < 0 or node[s] == node[t] or node[s] == node[nxt[t]]:
-                continue
-            i, a, b = node[s], node[t], node[nxt[t]]
-            if side == 0 and (region[i] != region[a] or share_obstacle(held, a, b)):
-                continue
-            e = pick_facing(x, node, nxt, prv, s, t, 1.0 if side == 0 else -1.0)
-            if e < 0 or (side == 0 and share_obstacle(held, node[e], node[nxt[e]])):
-                continue
-            events.append((float(MERGE if side == 0 else SEPARATE), change(x, node, nxt, e, t), x[i, 0], x[i, 1]))
-            reconnect(node, nxt, prv, e, t)
-            done += 1
-        if done == 0:
+        h = size[np.maximum(node, 0)]
+        limit = np.array([[gap], [neck]]) * h
+        near = (distance < CONTACT * h) | (closing > 0) & (distance < limit)
+        near[0] |= (closing[0] > 0) & (distance[0] - dt * closing[0] < 0.5 * gap * h)
+        side, s = np.nonzero(near & (slot >= 0) & (node >= 0))
+        order = np.argsort(distance[side, s] / h[s], kind="stable")
+        side, s = side[order], s[order]
+        more = rejoin(x, region, held, node, nxt, prv, side, s, slot[side, s])
+        if not more:
             break
+        events += more
     return events
 
 
 @kernel
-def collapse(x, size, level, tangent, held, node, nxt, prv, fine):  # type: ignore[no-untyped-def]
+def rejoin(x, region, held, node, nxt, prv, sides, corners, edges):  # type: ignore[no-untyped-def]
+    """Reconnect, in this order, corners (slots) and the edges (slots) that they face on their sides, where nothing forbids it."""
+    events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
+    for k in range(len(sides)):
+        side, s, t = sides[k], corners[k], edges[k]
+        if node[s] < 0 or node[t] < 0 or node[s] == node[t] or node[s] == node[nxt[t]]:
+            continue
+        i, a, b = node[s], node[t], node[nxt[t]]
+        if side == 0 and (region[i] != region[a] or share_obstacle(held, a, b)):
+            continue
+        e = pick_facing(x, node, nxt, prv, s, t, 1.0 if side == 0 else -1.0)
+        if e < 0 or (side == 0 and share_obstacle(held, node[e], node[nxt[e]])):
+            continue
+        events.append((float(MERGE if side == 0 else SEPARATE), change(x, node, nxt, e, t), x[i, 0], x[i, 1]))
+        reconnect(node, nxt, prv, e, t)
+    return events
+
+
+def collapse(
+    x: Array, size: Array, level: Array, tangent: Array, held: Array, node: Array, nxt: Array, prv: Array, fine: float
+) -> tuple[list[tuple[int, int]], list[Event]]:
     """Shrink edges shorter than ``fine`` sizes to a node where the area stays what it was; the shortest first.
 
     level (n,): by how many obstacles a node is held; tangent (n, 2) along which it may slide if by one. Where an obstacle leaves
     no choice the area changes. Returns pairs of nodes (kept, dropped), and events.
     """
+    used = np.flatnonzero(node >= 0)
+    i, j = node[used], node[nxt[used]]
+    length = np.linalg.norm(x[i] - x[j], axis=1)
+    short = length < fine * 0.5 * (size[i] + size[j])
+    order = np.argsort(length[short], kind="stable")
+    uses = np.bincount(i, minlength=len(x))
+    return shrink(x, size, level, tangent, held, node, nxt, prv, uses, used[short][order])
+
+
+@kernel
+def shrink(x, size, level, tangent, held, node, nxt, prv, uses, short):  # type: ignore[no-untyped-def]
+    """Collapse the edges of the slots ``short`` in this order; uses (n,): how many corners each node makes."""
     pairs = [(0, 0) for _ in range(0)]
     events = [(0.0, 0.0, 0.0, 0.0) for _ in range(0)]
-    uses = np.zeros(len(x), np.int64)
-    length = np.full(len(node), 1e300)
-    for s in range(len(node)):
-        if node[s] >= 0:
-            i, j = node[s], node[nxt[s]]
-            uses[i] += 1
-            l = np.hypot(x[j, 0] - x[i, 0], x[j, 1] - x[i, 1])
-            if l < fine * 0.5 * (size[i] + size[j]):
-                length[s] = l
-    for s in np.argsort(length):
-        if length[s] == 1e300:
-            break
+    for s in short:
         if node[s] < 0:
             continue
         i, j, p, n = node[s], node[nxt[s]], node[prv[s]], node[nxt[nxt[s]]]
         if uses[i] != 1 or uses[j] != 1 or p == n or p == j:
             continue
+        length = np.hypot(x[j, 0] - x[i, 0], x[j, 1] - x[i, 1])
         cx, cy = x[n, 0] - x[p, 0], x[n, 1] - x[p, 1]
         area = cross(x, p, i, j) + cross(x, p, j, n)
         mx, my = 0.5 * (x[i, 0] + x[j, 0]), 0.5 * (x[i, 1] + x[j, 1])
@@ -130,10 +161,10 @@ def collapse(x, size, level, tangent, held, node, nxt, prv, fine):  # type: igno
                 move = (area - ((qx - x[p, 0]) * cy - (qy - x[p, 1]) * cx)) / slope
                 qx, qy = qx + move * tx, qy + move * ty
         else:
-            if level[drop] > 1:
+            if level[drop] > 1 and length > FOLD * h:
                 continue
             qx, qy = x[keep, 0], x[keep, 1]
-        if (qx - mx) ** 2 + (qy - my) ** 2 > (0.5 * length[s] + 0.3 * h) ** 2:
+        if (qx - mx) ** 2 + (qy - my) ** 2 > (0.5 * length + 0.3 * h) ** 2:
             continue
         ox, oy = x[keep, 0], x[keep, 1]
         x[keep, 0], x[keep, 1] = qx, qy

@@ -37,7 +37,7 @@ def delaunay(x: Array, backend: str = "auto") -> Array:
     Raises ``Mistake`` for nodes that no triangulation can have.
     """
     x = np.ascontiguousarray(x, float)
-    cells = simplices.ordered(triangulated(x, backend))[0]
+    cells = simplices.ordered(triangulated(x, backend)[0])[0]
     volumes = simplices.volumes(x, cells)
     return cells if (volumes > 0).all() else cells[volumes > 0]
 
@@ -47,19 +47,23 @@ def constrained(x: Array, edges: Array, backend: str = "auto") -> tuple[Array, A
 
     Returns its cells (m, 3), as ``delaunay``'s, but with those whose area rounds to nothing; on which side of the edges each
     lies (m,): 1 on the left, -1 on the right, 0 where they are not closed and so do not tell; and which edges could not be
-    put in (k,), as they cross others.
+    put in (k,), as they cross others. Edges at the same place in opposite directions are none: bodies that touch are one.
     """
     x = np.ascontiguousarray(x, float)
-    cells = triangulated(x, backend)
+    cells, first = triangulated(x, backend)
     across = simplices.neighbours(cells)
-    marks, refused = flips.hold(x, cells, across, np.ascontiguousarray(edges, np.int64))
+    held = np.ascontiguousarray(edges, np.int64) if first is None else first[edges]
+    marks, refused = flips.hold(x, cells, across, held)
     sides = flips.sides(cells, across, marks)
     cells, rows = simplices.ordered(cells)
     return cells, sides[rows], refused
 
 
-def triangulated(x: Array, backend: str) -> Array:
-    """All cells of the Delaunay triangulation, also flat ones, turned so that their volume is not negative."""
+def triangulated(x: Array, backend: str) -> tuple[Array, Array | None]:
+    """All cells of the Delaunay triangulation, also flat ones, turned so that their volume is not negative.
+
+    Each node stands for those at the same place after it: which one stands for each (n,), or None if all do for themselves.
+    """
     n, gdim = x.shape
     if n <= gdim:
         raise Mistake(f"pfem: {n} nodes cannot be tessellated in {gdim}D; give at least {gdim + 1}")
@@ -68,17 +72,13 @@ def triangulated(x: Array, backend: str) -> Array:
     cells = method(backend, gdim)(x)
     if len(cells) == 0:
         raise Mistake(f"pfem: the {n} nodes all lie on one {'line' if gdim == 2 else 'plane'}; no cell fits between them")
-    return first_of_duplicates(x, cells)
-
-
-def first_of_duplicates(x: Array, cells: Array) -> Array:
-    """The cells with each node replaced by the first one at the same place."""
-    used = np.zeros(len(x), bool)
+    used = np.zeros(n, bool)
     used[cells.ravel()] = True
     if used.all():
-        return cells
+        return cells, None
     _, first, number = np.unique(x, axis=0, return_index=True, return_inverse=True)
-    return first[number.ravel()][cells]
+    stands = first[number.ravel()]
+    return stands[cells], stands
 
 
 # --- who makes them ---------------------------------------------------------------------------------------------------

@@ -118,9 +118,11 @@ def flip(cells: Array, across: Array, marks: Array, some: Array, c: int, k: int)
 
 @njit(cache=True, error_model="numpy")
 def mark(cells: Array, across: Array, marks: Array, some: Array, p: int, q: int) -> None:
-    """Hold the edge from p to q: 1 in the triangle on its left, -1 in that on its right."""
+    """Hold the edge from p to q: 1 in the triangle on its left, -1 in that on its right; once each way, it is let go."""
     c, k = facet_of(cells, across, some, p, q)
     sign = 1 if cells[c, (k + 1) % 3] == p else -1
+    if marks[c, k] == -sign:
+        sign = 0
     marks[c, k] = sign
     u = across[c, k]
     if u >= 0:
@@ -130,12 +132,11 @@ def mark(cells: Array, across: Array, marks: Array, some: Array, p: int, q: int)
 
 
 @njit(cache=True, error_model="numpy")
-def crossed(x: Array, cells: Array, across: Array, marks: Array, some: Array, a: int, b: int) -> tuple[int, Array]:
-    """The next node on the way from a straight to b, and the edges (k, 2) that lie across the way to it.
+def crossed(x: Array, cells: Array, across: Array, marks: Array, some: Array, a: int, b: int, path: Array) -> tuple[int, int]:
+    """The next node on the way from a straight to b, and how many edges lie across the way to it; path takes their nodes.
 
     The node is -1 where there is no such way: it would leave the triangulation, or cross an edge that is held.
     """
-    path = np.empty((16, 2), np.int64)
     n = 0
     c, k = -1, -1
     start = some[a]
@@ -145,12 +146,12 @@ def crossed(x: Array, cells: Array, across: Array, marks: Array, some: Array, a:
             i = place(cells, t, a)
             p, q = cells[t, (i + 1) % 3], cells[t, (i + 2) % 3]
             if p == b or q == b:
-                return b, path[:0]
+                return b, 0
             beside_p, beside_q = turn(x, a, p, b), turn(x, a, q, b)
             if beside_p == 0.0 and ahead(x, a, p, b):
-                return p, path[:0]
+                return p, 0
             if beside_q == 0.0 and ahead(x, a, q, b):
-                return q, path[:0]
+                return q, 0
             if beside_p > 0.0 and beside_q < 0.0:
                 c, k = t, i
                 break
@@ -161,11 +162,7 @@ def crossed(x: Array, cells: Array, across: Array, marks: Array, some: Array, a:
             break
     while c >= 0:
         if marks[c, k] != 0:
-            return -1, path[:0]
-        if n == len(path):
-            longer = np.empty((2 * n, 2), np.int64)
-            longer[:n] = path
-            path = longer
+            return -1, 0
         p, q = cells[c, (k + 1) % 3], cells[c, (k + 2) % 3]
         path[n, 0], path[n, 1] = p, q
         n += 1
@@ -178,10 +175,10 @@ def crossed(x: Array, cells: Array, across: Array, marks: Array, some: Array, a:
         s = cells[c, j]
         side = turn(x, a, b, s)
         if s == b or side == 0.0:
-            return s, path[:n]
+            return s, n
         # p is to the right of the way and q to its left: leave through the edge that joins s to the one of the other side
         k = place(cells, c, q if side > 0.0 else p)
-    return -1, path[:0]
+    return -1, 0
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -191,11 +188,8 @@ def ahead(x: Array, a: int, p: int, b: int) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def clear(x: Array, cells: Array, across: Array, marks: Array, some: Array, a: int, b: int, path: Array) -> bool:
-    """Flip the edges that lie across a free way from a to b until a and b are joined; whether that came to an end."""
-    n = len(path)
-    queue = np.empty((n, 2), np.int64)
-    queue[:] = path
+def clear(x: Array, cells: Array, across: Array, marks: Array, some: Array, a: int, b: int, queue: Array, n: int) -> bool:
+    """Flip the n edges (in queue) across a free way from a to b until a and b are joined; whether that came to an end."""
     made = np.empty((n, 2), np.int64)
     count, head, waiting = 0, 0, n
     for _ in range(8 * n * n + 64):
@@ -251,7 +245,8 @@ def smooth(x: Array, cells: Array, across: Array, marks: Array, some: Array, a: 
         flip(cells, across, marks, some, c, k)
         if n + 4 > len(stack):
             longer = np.empty((2 * len(stack), 2), np.int64)
-            longer[:n] = stack[:n]
+            for i in range(n):
+                longer[i, 0], longer[i, 1] = stack[i, 0], stack[i, 1]
             stack = longer
         for v, w in ((r, p), (p, s), (s, q), (q, r)):
             stack[n, 0], stack[n, 1] = v, w
@@ -264,7 +259,7 @@ def hold(x: Array, cells: Array, across: Array, edges: Array) -> tuple[Array, Ar
 
     Returns marks (m, 3), 1 where the triangle is to the left of the held edge and -1 to its right, 0 for all other edges;
     and which edges (k,) could not be held in full, since they cross one that was before, or end in no triangle. A node on
-    an edge divides it.
+    an edge divides it; an edge that is given once each way has the body on both sides, and is free.
     """
     marks = np.zeros(cells.shape, np.int8)
     some = np.full(len(x), -1, np.int64)
@@ -272,14 +267,15 @@ def hold(x: Array, cells: Array, across: Array, edges: Array) -> tuple[Array, Ar
         for k in range(3):
             some[cells[c, k]] = c
     refused = np.zeros(len(edges), np.bool_)
+    path = np.empty((2 * len(cells), 2), np.int64)
     for e in range(len(edges)):
         a, b = edges[e, 0], edges[e, 1]
         if some[a] < 0 or some[b] < 0:
             refused[e] = True
             continue
         while a != b:
-            end, path = crossed(x, cells, across, marks, some, a, b)
-            if end < 0 or (len(path) > 0 and not clear(x, cells, across, marks, some, a, end, path)):
+            end, n = crossed(x, cells, across, marks, some, a, b, path)
+            if end < 0 or (n > 0 and not clear(x, cells, across, marks, some, a, end, path, n)):
                 refused[e] = True
                 break
             mark(cells, across, marks, some, a, end)
