@@ -16,9 +16,11 @@ from geofem.methods.pfem.budget import Amount, Budget, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Obstacles
 from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme, node_volumes
+from geofem.methods.pfem.particles import WallParticles, beside_walls
 from geofem.methods.pfem.resample import needs, remesh
 from geofem.methods.pfem.surface import Rules
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
+from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Probe, Scene
 
@@ -26,6 +28,8 @@ GROW = 1.5
 """A step is longer than the one before by this factor at most, once steps had to be cut."""
 SMALLEST = 1e-3
 """A step is cut no further than to this fraction of what the CFL number allows."""
+RIPPLE = 0.5
+"""Share of the time of the shortest ripple of surface tension (Brackbill, Kothe and Zemach 1992, J. Comput. Phys. 100:335-354)."""
 FLAT = 0.02
 """A step is cut where it would leave less than this part of the volume of a cell."""
 
@@ -37,19 +41,21 @@ class FluidModel:
     """
 
     def __init__(self, scene: Scene, cloud: Cloud, mesh: Tessellation, tessellator: Tessellator, scheme: Scheme, rules: Rules,
-                 cfl: float, dt: float):  # fmt: skip
+                 cfl: float, dt: float, obstacles: Obstacles | WallParticles):  # fmt: skip
         self.scene, self.cloud, self.mesh, self.tessellator, self.rules = scene, cloud, mesh, tessellator, rules
         self.comm = MPI.COMM_WORLD
         self.cfl, self._longest = cfl, dt
         self.scheme = scheme
         self.flow = Flow(self.comm, scene, scheme)
-        self.obstacles = Obstacles(scene, cloud)
+        self.obstacles = obstacles
         self.t, self._limit = 0.0, math.inf
         self.work = {"steps": 0, "newton": 0, "linear": 0, "remeshes": 0, "cuts": 0, "factorisations": 0, "meshes": 0}
         if scene.initial_velocity is not None:
             cloud.v[:] = scene.initial_velocity(cloud.X.T).T
         self.budget = Budget(self.flow.gravity(0.0))
         self._stale = True
+        self.kept = not isinstance(tessellator, AlphaShape)
+        """Whether the boundary is that of the step before; an alpha shape finds it anew in every step."""
         self.start = Amount.of(cloud, mesh.cells, self.budget.gravity)
         self._worst = 0.0
         self._energy = {"internal": 0.0, "external": 0.0}
@@ -67,9 +73,8 @@ class FluidModel:
         fall = (-speed + np.sqrt(speed**2 + 2 * gravity * way)) / gravity if gravity > 0 else way / np.maximum(speed, 1e-300)
         limit = float(fall.min())
         if self.flow.tension:
-            limit = min(
-                limit, float(np.sqrt(self.flow.density * self.cloud.size.min() ** 3 / (2 * math.pi * self.flow.tension)))
-            )
+            ripple = self.flow.density * float(self.cloud.size.min()) ** 3 / (2 * math.pi * self.flow.tension)
+            limit = min(limit, RIPPLE * math.sqrt(ripple))
         return min(limit, self._longest, self._limit)
 
     def step(self, dt: float) -> None:
@@ -118,7 +123,9 @@ class FluidModel:
     def _move(self, dt: float, u: Array, p: Array, before: Array, after: Array) -> None:
         cloud, mesh, theta = self.cloud, self.mesh, self.flow.scheme.theta
         gravity = self.flow.gravity(self.t + theta * dt)
-        flying = cloud.carried > 0
+        flying = np.bincount(mesh.cells.ravel(), minlength=cloud.n) == 0
+        if "fixed" in cloud.fields:
+            flying &= cloud.fields["fixed"] < 0.5
         new = cloud.v + (u - cloud.v) / theta
         way = CONFIGURATIONS[self.scheme.configuration]
         mass = self.flow.density * node_volumes(cloud.x + way * dt * u, mesh.cells)
@@ -159,9 +166,10 @@ class FluidModel:
         self._worst = max(self._worst, drift, -drift, key=abs)
 
     def _remesh(self, dt: float) -> Tessellation | None:
-        if not needs(self.cloud, self.mesh, self.rules, self.budget, dt):
+        if self.kept and not needs(self.cloud, self.mesh, self.rules, self.budget, dt):
             return None
-        return remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
+        made = remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
+        return made if isinstance(self.obstacles, Obstacles) else beside_walls(made, self.cloud)
 
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
