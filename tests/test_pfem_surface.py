@@ -8,11 +8,12 @@ from hypothesis import strategies as st
 from geofem.methods.pfem.budget import KINDS, Amount, Budget
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Obstacles
-from geofem.methods.pfem.loops import first_crossing, link
+from geofem.methods.pfem.loops import first_crossing, link, tally
 from geofem.methods.pfem.resample import needs, remesh
 from geofem.methods.pfem.surface import Rules
+from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.methods.pfem.tessellation.constrained import Constrained
-from geofem.scene import Box, Material, Region, Scene, Support, Wall
+from geofem.scene import Box, Material, Polygon, Region, Rigid, Scene, Support, Wall
 
 BODY = (Region("body", Box((0, 0), (1, 1)), Material("water")),)
 FLOOR = Wall("floor", lambda x: x[1] <= 0, (0, 1))
@@ -202,3 +203,86 @@ def test_who_pulls_at_a_wall_is_let_go_and_held_again_when_it_comes_back():
     run.start, run.budget.of = run.amount(), Budget((0, 0)).of
     run.step(0.001)
     assert run.obstacles.held(cloud)[let].all() and (cloud.x[let, 1] == 0).all()
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.floats(0.15, 0.2), st.floats(-0.1, 0.1))
+def test_bodies_that_overlap_become_one_of_the_same_volume(distance, offset):
+    """As after a step that was too long: nothing but the moved boundaries tells that they overlap."""
+    x = np.concatenate([disc((0, 0), 0.12, 0.03), disc((0.3, offset), 0.12, 0.03)])
+    run = Run(x, 0.03)
+    right = np.isin(np.arange(len(x)), np.arange(len(x) // 2, len(x)))
+    run.cloud.x[right, 0] -= 0.3 - distance
+    run.start = run.amount()
+    for _ in range(3):
+        run.step(0.001)
+    assert run.share("merge") < -1e-4
+    assert run.amount().volume + run.budget.owed[:, 2].sum() == pytest.approx(run.start.volume, rel=1e-12)
+    node, nxt, _ = link(run.cloud.x, run.mesh.facets)
+    assert tally(run.cloud.x, node, nxt)[1].min() > 0  # one loop, no hole
+    assert first_crossing(run.cloud.x, node, nxt) == (-1, -1)
+
+
+def test_a_trapped_hole_is_filled_when_it_is_small():
+    """A ring that closes in: its hole shrinks below a tenth of a cell, and the last of it is given back outside."""
+    angle = np.arange(24) * np.pi / 12
+    rings = [r * np.column_stack([np.cos(angle + r), np.sin(angle + r)]) for r in (0.2, 0.25, 0.3, 0.35)]
+    run = Run(np.concatenate(rings), 0.06, rules=Rules(gap=1e-3))
+
+    def inwards(x, t):
+        square = (x**2).sum(axis=1, keepdims=True)
+        return -0.03 * x / np.maximum(square, 1e-4)
+
+    while run.t < 0.8:
+        run.step(0.02, inwards)
+    node, nxt, _ = link(run.cloud.x, run.mesh.facets)
+    assert tally(run.cloud.x, node, nxt)[1].min() > 0
+    assert run.share("merge") > 0
+
+
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_where_the_boundary_is_found_anew_nodes_come_and_go_inside(gdim):
+    h = 0.25
+    x = np.stack(np.meshgrid(*[np.linspace(0, 1, 5)] * gdim, indexing="ij"), -1).reshape(-1, gdim)
+    inner = (np.abs(x - 0.5) < 0.49).all(axis=1)
+    x[inner] += np.random.default_rng(1).uniform(-0.05, 0.05, (inner.sum(), gdim))
+    cloud = Cloud.at_rest(x, np.full(len(x), h))
+    cloud.v = x[:, ::-1].copy()
+    body = (Region("body", Box((0,) * gdim, (1,) * gdim), Material("water")),)
+    floor = Wall("floor", lambda x: x[-1] <= 0, (0,) * (gdim - 1) + (1,))
+    scene = Scene("box", body, 1.0, (), plane="solid" if gdim == 3 else "plane_strain", walls=(floor,))
+    obstacles, rules, budget = Obstacles(scene, cloud), Rules(boundary=False), Budget(np.zeros(gdim))
+    alpha = AlphaShape(1.5, backend="qhull")
+    mesh = alpha(cloud.x, cloud.size, None)
+    start = Amount.of(cloud, mesh.cells, budget.gravity)
+    cloud.size[:] = 0.7 * h
+    mesh = remesh(cloud, mesh, obstacles, lambda x, size, old: alpha(x, np.full(len(x), h), old), rules, budget, 0.1)
+    assert cloud.n > len(x)
+    more = cloud.n
+    cloud.size[:] = 2.5 * h
+    mesh = remesh(cloud, mesh, obstacles, lambda x, size, old: alpha(x, np.full(len(x), 2 * h), old), rules, budget, 0.1)
+    assert cloud.n < more
+    now = Amount.of(cloud, mesh.cells, budget.gravity)
+    assert now.volume == pytest.approx(start.volume, rel=1e-12)
+    assert now.momentum[:-1] == pytest.approx(start.momentum[:-1], rel=1e-12)
+    assert obstacles.touch(cloud).normals.shape == (cloud.n, gdim, gdim)
+
+
+def test_a_rigid_body_pushes_nodes_out_and_on():
+    box = Rigid("box", Polygon(((-1.0, -0.2), (0.0, -0.2), (0.0, 0.7), (-1.0, 0.7))), motion=lambda t: (0.1 * t, 0.0))
+    scene = Scene("push", BODY, 1.0, (), rigids=(box,))
+    cloud = Cloud.at_rest(block((0, 0), (1, 0.5), 0.125), np.full(45, 0.125))
+    obstacles, budget = Obstacles(scene, cloud), Budget(np.zeros(2))
+    left = cloud.X[:, 0] == 0
+    assert (obstacles.held(cloud)[:, 0] == left).all()
+    obstacles.follow(0.5, 0.1)
+    cells = Constrained(backend="qhull")(cloud.x, cloud.size, None).cells
+    moved = obstacles.clip(cloud, cells, budget)
+    assert moved[left] == pytest.approx(np.tile([0.05, 0.0], (5, 1))) and (moved[~left] == 0).all()
+    assert cloud.v[left] == pytest.approx(np.tile([0.1, 0.0], (5, 1)))
+    touch = obstacles.touch(cloud)
+    assert (touch.normals[left, 0] == [1, 0]).all() and touch.speed[left, 0] == pytest.approx(0.1)
+    assert budget.of["wall"].volume == pytest.approx(-0.025) and budget.owed[:, 2].sum() == pytest.approx(0.025)
+    outside, normals = obstacles.solids[0].reach(np.array([[0.35, 1.1], [0.3, 0.1], [-0.4, 0.69]]))
+    assert outside == pytest.approx([0.5, 0.25, -0.01])
+    assert normals == pytest.approx(np.array([[0.6, 0.8], [1, 0], [0, 1]]))

@@ -218,6 +218,7 @@ def test_drop_finds_frequency_and_damping(shape: str) -> None:
     w, rate = square_drop.omega(k), 2 * k * (k - 1) * 1e-6 / square_drop.RADIUS**2
     t = np.linspace(0, scene.t_end, 401)
     history = {"t": t, "velocity": np.exp(-rate * t) * np.cos(w * t)}
+    history["width"] = 0.01 + history["velocity"] + 0.2 * np.sin(3.1 * w * t)
     for one in scene.measures:
         found = one.error(history) if one.error else one.reference.error(one.value(history))  # type: ignore[union-attr, misc]
         assert found < 1e-3

@@ -39,3 +39,11 @@ def decay(t: Array, v: Array) -> float:
     if len(times) < 2:
         return math.nan
     return -float(np.polyfit(times, np.log(peaks), 1)[0])
+
+
+def strongest(t: Array, v: Array, low: float, high: float) -> float:
+    """The frequency (Hz) between two at which v(t) less its mean is strongest, by its Fourier integral under a Hann window."""
+    weight = np.sin(np.pi * (t - t[0]) / (t[-1] - t[0])) ** 2 * np.gradient(t)
+    swing = v - weight @ v / weight.sum()
+    f = np.linspace(low, high, 2001)
+    return float(f[np.abs(np.exp(-2j * np.pi * np.outer(f, t)) @ (weight * swing)).argmax()])

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import factorial
 
 import numpy as np
+from numba import njit
 
 from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.tessellation.simplices import volumes
 from geofem.scene import Array
 
 KINDS = ("lagrangian", "wall", "resample", "merge", "separate", "restore")
 
 
-def volumes(x: Array, cells: Array) -> Array:
-    """Signed volumes (m2 or m3) of simplices, x (n, gdim), cells (m, gdim + 1)."""
-    edges = x[cells[:, 1:]] - x[cells[:, :1]]
-    if x.shape[1] == 2:
-        return 0.5 * (edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0])
-    return np.linalg.det(edges) / factorial(x.shape[1])
-
-
 def lumped(cloud: Cloud, cells: Array) -> Array:
     """Volume (n,) of each node: its share of its cells, or what it carries when it flies."""
-    share = np.repeat(volumes(cloud.x, cells) / cells.shape[1], cells.shape[1])
-    return np.bincount(cells.ravel(), share, cloud.n) + cloud.carried
+    return shares(volumes(cloud.x, cells) / cells.shape[1], cells, cloud.carried.copy())
+
+
+@njit(cache=True, error_model="numpy")
+def shares(part, cells, total):  # type: ignore[no-untyped-def]
+    for c in range(len(cells)):
+        for i in cells[c]:
+            total[i] += part[c]
+    return total
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,10 @@ class Amount:
     def of(cls, cloud: Cloud, cells: Array, gravity: Array) -> Amount:
         """What there is now; gravity (gdim,) (m/s2)."""
         m = lumped(cloud, cells)
-        kinetic = 0.5 * float(m @ (cloud.v**2).sum(axis=1))
-        return cls(float(m.sum()), m @ cloud.v, kinetic, -float(m @ cloud.x @ gravity))
+        # Sums rather than products of matrices, which BLAS would share out among threads.
+        momenta = m[:, None] * cloud.v
+        kinetic = 0.5 * float((momenta * cloud.v).sum())
+        return cls(float(m.sum()), momenta.sum(axis=0), kinetic, -float((m * (cloud.x * gravity).sum(axis=1)).sum()))
 
     def __sub__(self, other: Amount) -> Amount:
         return Amount(

@@ -14,7 +14,9 @@ from geofem.mistake import Mistake
 from geofem.scene import Array, Rigid, Scene, Wall
 
 TOUCH = 1e-3
-"""Within this part of its size a node touches an obstacle that it does not move away from."""
+"""Within this part of its size a node touches an obstacle that it moves towards."""
+SLIP = 0.05
+"""A held node that is farther than this part of its size from the obstacle has slid off its end or round its corner."""
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class Obstacles:
             into = np.einsum("nd,nd->n", cloud.v - solid.velocity, normals)  # < 0: moves into the obstacle
             held = field[:, o] > 0.999
             reached = (distance < 0) | (distance < TOUCH * cloud.size) & (into < 0)
-            gone = held & ~np.isfinite(distance)  # slid off the end of a wall
+            gone = held & (distance > SLIP * cloud.size)
             field[gone, o] = 0.0
             on = np.flatnonzero((held | reached) & ~gone & np.isfinite(distance))
             budget.jolted |= bool((field[on, o] < 0.999).any())

@@ -163,7 +163,11 @@ class Ties:
             pull[who] += np.einsum("nij,nj->ni", drag, velocity)
         self.now = spring, pull
         if self.flow.tension:
-            pull = pull + surface_force(x, self.mesh.facets, self.flow.tension)
+            # The shortest ripples would not settle if the surface only pulled: it also resists, node by node.
+            stiff = CONFIGURATIONS[self.flow.scheme.configuration] * self.dt
+            resist = stiff * surface_stiffness(x, self.mesh.facets, self.flow.tension)
+            spring = spring + resist
+            pull = pull + surface_force(x, self.mesh.facets, self.flow.tension) + np.einsum("nij,nj->ni", resist, u)
         return spring, pull, node_volumes(x, self.mesh.cells)
 
     def force(self, u: Array) -> Array:
@@ -192,4 +196,23 @@ def surface_force(x: Array, facets: Array, tension: float) -> Array:
     unit = normal / np.linalg.norm(normal, axis=1)[:, None]
     for k, (p, q) in enumerate(((b, c), (c, a), (a, b))):
         np.add.at(out, facets[:, k], -0.5 * tension * np.cross(unit, q - p))
+    return out
+
+
+def surface_stiffness(x: Array, facets: Array, tension: float) -> Array:
+    """The blocks (n, gdim, gdim) (N/m) of each node with itself in the second derivative of tension * area of the boundary."""
+    out = np.zeros((*x.shape, x.shape[1]))
+    if x.shape[1] == 2:
+        edge = x[facets[:, 1]] - x[facets[:, 0]]
+        normal = np.column_stack([edge[:, 1], -edge[:, 0]])
+        block = tension * normal[:, :, None] * normal[:, None, :] / (np.linalg.norm(edge, axis=1) ** 3)[:, None, None]
+        np.add.at(out, facets[:, 0], block)
+        np.add.at(out, facets[:, 1], block)
+        return out
+    a, b, c = (x[facets[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.linalg.norm(normal, axis=1)
+    for k, (p, q) in enumerate(((b, c), (c, a), (a, b))):
+        weight = 0.5 * tension * np.sum((q - p) ** 2, axis=1) / size**3
+        np.add.at(out, facets[:, k], weight[:, None, None] * normal[:, :, None] * normal[:, None, :])
     return out

@@ -14,16 +14,29 @@ from geofem.methods.pfem.contact import Obstacles
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
 from geofem.methods.pfem.surface import Rules, change_boundary
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
+from geofem.methods.pfem.tessellation.simplices import parents, quality
 from geofem.scene import Array
 
 
-def edges_of(cells: Array) -> Array:
-    """The edges (k, 2) of cells, once each."""
-    corners = cells.shape[1]
-    pairs = [cells[:, [a, b]] for a in range(corners) for b in range(a + 1, corners)]
-    both = np.sort(np.concatenate(pairs), axis=1)
-    key = np.unique(both[:, 0] * (both.max(initial=0) + 1) + both[:, 1])
-    return np.column_stack(np.divmod(key, both.max(initial=0) + 1))
+@kernel
+def short_edges(x, size, cells, fine):  # type: ignore[no-untyped-def]
+    """Edges of cells below ``fine`` sizes: (k, 2) nodes, an edge as often as it has cells, and lengths (k,) in sizes."""
+    count, corners = 0, cells.shape[1]
+    edges, lengths = np.empty((64, 2), np.int64), np.empty(64)
+    for c in range(len(cells)):
+        for k in range(corners):
+            for l in range(k):
+                a, b = cells[c, k], cells[c, l]
+                square = 0.0
+                for d in range(x.shape[1]):
+                    square += (x[a, d] - x[b, d]) ** 2
+                length = np.sqrt(square) / (0.5 * (size[a] + size[b]))
+                if length < fine:
+                    if count == len(lengths):
+                        edges, lengths = np.concatenate((edges, edges)), np.concatenate((lengths, lengths))
+                    edges[count, 0], edges[count, 1], lengths[count] = min(a, b), max(a, b), length
+                    count += 1
+    return edges[:count], lengths[:count]
 
 
 @kernel
@@ -87,25 +100,43 @@ def removable(cloud: Cloud, cells: Array, facets: Array, held: Array, rules: Rul
     inner &= cloud.carried == 0
     if not rules.boundary:
         inner &= ~held.any(axis=1)
-    edges = edges_of(cells)
-    a, b = edges.T
-    length = np.linalg.norm(cloud.x[a] - cloud.x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
-    short = np.flatnonzero(length < rules.fine)
-    gone = spare(edges[short[np.argsort(length[short], kind="stable")]], inner, cloud.n)
+    short, length = short_edges(cloud.x, cloud.size, cells, rules.fine)
+    gone = spare(short[np.argsort(length, kind="stable")], inner, cloud.n)
     if rules.boundary:
         gone |= beside(cloud.x, cloud.size, inner, facets, rules.beside)
     return gone
 
 
+@kernel
+def spread(x, size, cells, volumes, big, fine):  # type: ignore[no-untyped-def]
+    """Volumes (m,) of cells over that of one that is ``big`` (in sizes); 0 with no room for a node ``fine`` sizes from others."""
+    corners, gdim = cells.shape[1], x.shape[1]
+    excess = np.zeros(len(cells))
+    for c in range(len(cells)):
+        h = 0.0
+        for i in cells[c]:
+            h += size[i] / corners
+        if volumes[c] <= big * h**gdim:
+            continue
+        least = 1e300
+        for i in cells[c]:
+            square = 0.0
+            for d in range(gdim):
+                middle = 0.0
+                for j in cells[c]:
+                    middle += x[j, d] / corners
+                square += (x[i, d] - middle) ** 2
+            least = min(least, square)
+        if least > (fine * h) ** 2:
+            excess[c] = volumes[c] / (big * h**gdim)
+    return excess
+
+
 def too_big(cloud: Cloud, cells: Array, rules: Rules) -> Array:
     """Rows of the cells that get a node in their middle, no two of them neighbours."""
-    gdim = cloud.x.shape[1]
-    regular = np.sqrt(3) / 4 if gdim == 2 else np.sqrt(2) / 12
-    size = cloud.size[cells].mean(axis=1)
-    excess = volumes(cloud.x, cells) / (rules.big * regular * size**gdim)
-    middle = cloud.x[cells].mean(axis=1)
-    room = np.linalg.norm(cloud.x[cells] - middle[:, None], axis=2).min(axis=1) > rules.fine * size
-    rows = np.flatnonzero((excess > 1) & room)
+    regular = np.sqrt(3) / 4 if cloud.x.shape[1] == 2 else np.sqrt(2) / 12
+    excess = spread(cloud.x, cloud.size, cells, volumes(cloud.x, cells), rules.big * regular, rules.fine)
+    rows = np.flatnonzero(excess > 1)
     rows = rows[np.argsort(-excess[rows], kind="stable")]
     return rows[apart(cells[rows], cloud.n)]
 
@@ -166,9 +197,11 @@ def tessellate(cloud: Cloud, old: Tessellation, tessellator: Tessellator, rules:
         return tessellator(cloud.x, cloud.size, old)
     grounded = np.flatnonzero(cloud.carried == 0)
     number = np.cumsum(cloud.carried == 0) - 1
-    part = Tessellation(number[old.cells], number[old.facets], old.parents)
-    new = tessellator(cloud.x[grounded], cloud.size[grounded], part)
-    return Tessellation(grounded[new.cells], grounded[new.facets], new.parents)
+    # Without the old cells: nodes that the boundary has passed over are to be left outside.
+    bare = Tessellation(np.zeros((0, 3), np.int64), number[old.facets], old.parents[:0])
+    new = tessellator(cloud.x[grounded], cloud.size[grounded], bare)
+    cells = grounded[new.cells]
+    return Tessellation(cells, grounded[new.facets], parents(cells, old.cells))
 
 
 def refused(x: Array, facets: Array, new: Tessellation) -> Array:
@@ -216,8 +249,8 @@ def remesh(
     new = tessellate(cloud, old, tessellator, rules)
     big = too_big(cloud, new.cells, rules)
     if len(big):
-        parents = new.cells[big]
-        cloud.add(parents, np.full(parents.shape, 1 / parents.shape[1]))
+        corners = new.cells[big]
+        cloud.add(corners, np.full(corners.shape, 1 / corners.shape[1]))
         new = tessellate(cloud, Tessellation(old.cells, new.facets, rows), tessellator, rules)
     if rules.boundary:
         budget.owed = np.concatenate([budget.owed, refused(cloud.x, old.facets, new)])
@@ -238,22 +271,19 @@ def remesh(
 def needs(cloud: Cloud, tessellation: Tessellation, rules: Rules, budget: Budget, dt: float) -> bool:
     """Whether anything asks for ``remesh``: bad or big cells, edges, fronts that meet within dt (s), volume owed or flying."""
     x, cells, facets = cloud.x, tessellation.cells, tessellation.facets
-    volume = volumes(x, cells)
-    a, b = edges_of(cells).T
-    length = np.linalg.norm(x[a] - x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
-    if (volume <= 0).any() or (length < rules.fine).any() or len(too_big(cloud, cells, rules)):
+    if (quality(x, cells) < rules.quality).any() or len(short_edges(x, cloud.size, cells, rules.fine)[0]):
         return True
-    if x.shape[1] == 3:
-        square = ((x[cells][:, :, None] - x[cells][:, None]) ** 2).sum(axis=(1, 2, 3)) / 12  # of the mean edge
-        return bool((6 * np.sqrt(2) * volume < np.sin(np.radians(rules.angle)) * square**1.5).any())
-    sides = np.sort(np.linalg.norm(x[cells] - x[np.roll(cells, 1, axis=1)], axis=2), axis=1)
-    if (2 * volume < np.sin(np.radians(rules.angle)) * sides[:, 1] * sides[:, 2]).any():
+    if len(too_big(cloud, cells, rules)):
         return True
     if not rules.boundary:
         return False
     a, b = facets.T
     length = np.linalg.norm(x[a] - x[b], axis=1) / (0.5 * (cloud.size[a] + cloud.size[b]))
-    if (length > rules.coarse).any() or (cloud.carried > 0).any() or np.abs(budget.owed[:, 2]).sum() > 1e-9 * volume.max():
+    if (
+        (length > rules.coarse).any()
+        or (cloud.carried > 0).any()
+        or np.abs(budget.owed[:, 2]).sum() > 1e-9 * (cloud.size**2).max()
+    ):
         return True
     node, nxt, prv = link(x, facets)
     speed = np.linalg.norm(cloud.v - cloud.v[a].mean(axis=0), axis=1)[a].max(initial=0.0)

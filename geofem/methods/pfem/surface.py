@@ -26,7 +26,7 @@ class Rules:
     neck : a part thinner than that which gets thinner is cut.
     drop : a piece of less area (in sizes squared) flies: one node that carries it. hole : a smaller hole is filled.
     catch : what flies is caught by a boundary so near that it approaches.
-    angle : the mesh is made anew when a cell has a smaller angle (degrees).
+    quality : the mesh is made anew when a cell is worse, see ``simplices.quality``.
     boundary : False leaves the boundary alone, for tessellators that find it anew each time, and in space.
     """
 
@@ -39,7 +39,7 @@ class Rules:
     drop: float = 0.3
     hole: float = 0.1
     catch: float = 0.7
-    angle: float = 15.0
+    quality: float = 0.3
     boundary: bool = True
 
 
