@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -38,6 +38,23 @@ class Touch:
     def count(self) -> Array:
         """How many constraints each node has, (n,)."""
         return (self.obstacle >= 0).sum(axis=1)
+
+
+class Contact(Protocol):
+    """What stops nodes: ``Obstacles``, or the classical particles of walls."""
+
+    names: list[str]
+    rigids: list[Convex]
+
+    def follow(self, t: float, dt: float) -> None: ...
+
+    def held(self, cloud: Cloud) -> Array: ...
+
+    def touch(self, cloud: Cloud) -> Touch: ...
+
+    def clip(self, cloud: Cloud, cells: Array, budget: Budget) -> Any: ...
+
+    def release(self, cloud: Cloud, force: Array, cells: Array, budget: Budget) -> Any: ...
 
 
 class Plane:

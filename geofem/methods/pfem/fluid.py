@@ -9,7 +9,7 @@ from geofem import materials
 from geofem.core import mesh as meshes
 from geofem.core.mpi import on_root
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact, Obstacles
 from geofem.methods.pfem.flow import CONFIGURATIONS, Scheme
 from geofem.methods.pfem.fluid_forms import ELEMENTS
 from geofem.methods.pfem.fluid_model import FluidModel
@@ -88,7 +88,7 @@ def build_fluid(
         raise Mistake("knob backend = 'compas': is for the plane; choose native or qhull")
     comm = MPI.COMM_WORLD
     cloud, mesh = comm.bcast(on_root(comm, lambda: first(scene, n, size, jitter, maker)))
-    obstacles: Obstacles | WallParticles = Obstacles(scene, cloud)
+    obstacles: Contact = Obstacles(scene, cloud)
     if walls == "fixed":
         obstacles = WallParticles(scene, cloud)
         mesh = comm.bcast(on_root(comm, lambda: beside_walls(maker(cloud.x, cloud.size, None), cloud)))

@@ -14,9 +14,9 @@ from geofem.cost import phase
 from geofem.methods.pfem import answers
 from geofem.methods.pfem.budget import Amount, Budget, volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme, node_volumes
-from geofem.methods.pfem.particles import WallParticles, beside_walls
+from geofem.methods.pfem.particles import beside_walls
 from geofem.methods.pfem.resample import needs, remesh
 from geofem.methods.pfem.surface import Rules
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
@@ -41,7 +41,7 @@ class FluidModel:
     """
 
     def __init__(self, scene: Scene, cloud: Cloud, mesh: Tessellation, tessellator: Tessellator, scheme: Scheme, rules: Rules,
-                 cfl: float, dt: float, obstacles: Obstacles | WallParticles):  # fmt: skip
+                 cfl: float, dt: float, obstacles: Contact):  # fmt: skip
         self.scene, self.cloud, self.mesh, self.tessellator, self.rules = scene, cloud, mesh, tessellator, rules
         self.comm = MPI.COMM_WORLD
         self.cfl, self._longest = cfl, dt
@@ -169,7 +169,7 @@ class FluidModel:
         if self.kept and not needs(self.cloud, self.mesh, self.rules, self.budget, dt):
             return None
         made = remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
-        return made if isinstance(self.obstacles, Obstacles) else beside_walls(made, self.cloud)
+        return beside_walls(made, self.cloud) if "fixed" in self.cloud.fields else made
 
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
@@ -181,9 +181,11 @@ class FluidModel:
         )
 
     def energy(self) -> dict[str, float]:
-        """Kinetic energy; ``internal`` is what viscosity and the stabilisation have turned into heat, ``external`` the work of gravity."""
+        """Kinetic energy; ``internal``: heat of viscosity and the stabilisation, and that of the surface; ``external``: work of gravity."""
         kinetic = self.flow.density * answers.kinetic(self.cloud, self.mesh.cells)
-        return {"kinetic": kinetic, **self._energy}
+        heat, work = self._energy["internal"], self._energy["external"]
+        surface = answers.surface(self.cloud.x, self.mesh.facets) if self.flow.tension else 0.0
+        return {"kinetic": kinetic, "internal": heat + self.flow.tension * surface, "external": work}
 
     def checks(self) -> dict[str, float | None]:
         """Relative drifts: ``volume`` of the mesh and of what flies, the largest so far; ``momentum`` less all impulses."""

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
 from geofem.methods.pfem.surface import Rules, change_boundary
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
@@ -221,7 +221,7 @@ def refused(x: Array, facets: Array, new: Tessellation) -> Array:
 def remesh(
     cloud: Cloud,
     tessellation: Tessellation,
-    obstacles: Obstacles,
+    obstacles: Contact,
     tessellator: Tessellator,
     rules: Rules,
     budget: Budget,
