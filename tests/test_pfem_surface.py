@@ -286,3 +286,13 @@ def test_a_rigid_body_pushes_nodes_out_and_on():
     outside, normals = obstacles.solids[0].reach(np.array([[0.35, 1.1], [0.3, 0.1], [-0.4, 0.69]]))
     assert outside == pytest.approx([0.5, 0.25, -0.01])
     assert normals == pytest.approx(np.array([[0.6, 0.8], [1, 0], [0, 1]]))
+
+
+def test_a_face_that_stands_on_a_wall_cannot_be_touched():
+    block = Rigid("block", Polygon(((0.5, 0.0), (0.8, 0.0), (0.8, 0.4), (0.5, 0.4))))
+    scene = Scene("block", BODY, 1.0, (), walls=(FLOOR,), rigids=(block,))
+    cloud = Cloud.at_rest(np.array([(0.0, 0.0), (0.51, 0.0), (0.79, 0.01), (0.65, 0.39)]), np.full(4, 0.1))
+    obstacles = Obstacles(scene, cloud)
+    obstacles.clip(cloud, np.zeros((0, 3), np.int64), Budget(np.zeros(2)))
+    assert cloud.x == pytest.approx(np.array([(0, 0), (0.5, 0), (0.8, 0.01), (0.65, 0.4)]))
+    assert obstacles.touch(cloud).count.tolist() == [1, 2, 1, 1]

@@ -114,6 +114,8 @@ class Convex:
         side = np.roll(self.corners, -1, axis=0) - self.corners
         self.normals = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.linalg.norm(side, axis=1)[:, None]
         self.shift, self.velocity = np.zeros(2), np.zeros(2)
+        self.open = np.ones(len(self.corners), bool)
+        """Faces that can be touched, as no wall lies against them."""
 
     def follow(self, t: float, dt: float) -> None:
         """Stand where it is at t, with the mean velocity of the step of dt that follows."""
@@ -125,7 +127,7 @@ class Convex:
         """Distance (n,) of nodes (n, 2) from the body, negative in it, and the normals (n, 2) out of it."""
         relative = x - self.shift
         height = np.einsum("fd,nfd->nf", self.normals, relative[:, None] - self.corners)
-        face = height.argmax(axis=1)
+        face = np.where(self.open, height, -np.inf).argmax(axis=1)
         distance, normals = height[np.arange(len(x)), face], self.normals[face].copy()
         away = relative[:, None] - self.corners
         length = np.linalg.norm(away, axis=2)
@@ -171,6 +173,10 @@ class Obstacles:
         """Move the rigid bodies to where they are at t (s); dt (s) is the step that follows."""
         for rigid in self.rigids:
             rigid.follow(t, dt)
+            corners = rigid.corners + rigid.shift
+            middle = 0.5 * (corners + np.roll(corners, -1, axis=0)) + 1e-3 * np.ptp(corners, axis=0).max() * rigid.normals
+            buried = [plane.reach(middle)[0] < 0 for plane in self.planes]
+            rigid.open = ~np.any(buried, axis=0) if buried else rigid.open
 
     def held(self, cloud: Cloud) -> Array:
         """(n, k) bool: who is held by what. New nodes are where all their parents were; supports ask for the reference place."""
