@@ -100,3 +100,45 @@ def test_column_collapses():
     checks, energy = model.checks(), model.energy()
     assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.02 and checks["momentum"] < 0.05
     assert energy["kinetic"] + energy["internal"] < 1.02 * energy["external"]
+
+
+@pytest.mark.parametrize("name", ["wedge", "column_collapse"])
+def test_checkpoint(name):
+    """A model that takes up the state of another one goes on as that does."""
+    scene = scenes.get(name)()
+    first, second = build_solid(scene, n=4), build_solid(scene, n=4)
+    for _ in range(12):
+        first.step(first.dt())
+    second.restore({key: np.array(value) for key, value in first.state().items()})
+    for model in first, second:
+        for _ in range(4):
+            model.step(model.dt())
+    assert first.t == second.t and first.work == second.work
+    assert np.array_equal(first.body.cloud.x, second.body.cloud.x)
+    assert [first.probe(p) for p in scene.probes] == [second.probe(p) for p in scene.probes]
+    assert first.energy() == second.energy()
+
+
+RANKS = """
+import geofem, numpy as np
+from mpi4py import MPI
+from geofem import scenes
+from geofem.methods.pfem.solid_model import build_solid
+out = []
+for name, knobs in ("wedge", {"tolerance": 1e-9}), ("column_collapse", {}):
+    model = build_solid(scenes.get(name)(), n=4, **knobs)
+    for _ in range(10):
+        model.step(model.dt())
+    out += [float(np.sum(model.body.cloud.x ** 2)), *(float(r[1]) for r in model.solver.reaction.values())]
+if MPI.COMM_WORLD.rank == 0:
+    print(*map(repr, out))
+"""
+
+
+@pytest.mark.mpi
+@pytest.mark.slow
+def test_ranks_agree(mpirun):
+    """Ten steps on one, two and three ranks, remeshing included, to 1e-9."""
+    one, two, three = (np.array(mpirun(n, RANKS).split(), float) for n in (1, 2, 3))
+    assert np.allclose(two, one, rtol=1e-9, atol=1e-12)
+    assert np.allclose(three, one, rtol=1e-9, atol=1e-12)

@@ -165,6 +165,24 @@ class Body:
         """Stresses at the start of the step, (d, 4)."""
         return self.laws.respond(self.history, np.zeros((self.domains.n, 4)), 0.0).P
 
+    # --- checkpoints ----------------------------------------------------------------------------------------------------
+    def state(self) -> dict[str, Array]:
+        """All that the body is."""
+        cloud, history = self.cloud, self.history
+        return {name: getattr(cloud, name) for name in Cloud.NAMES} | {
+            "next_id": np.array(cloud.next_id), "cells": self.cells, "facets": self.facets, "mass": self.mass,
+            "F": history.F, "state": history.state, "of": history.region,
+            **{f"field_{name}": values for name, values in cloud.fields.items()},
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Array]) -> None:
+        fields = {name.removeprefix("field_"): values for name, values in state.items() if name.startswith("field_")}
+        x, X, v, p, size, region, carried, id = (state[name] for name in Cloud.NAMES)
+        self.cloud = Cloud(x, X, v, p, size, region, carried, id, int(state["next_id"]), fields)
+        self._mass_region, self.mass = self.cloud.region, state["mass"]
+        self.renew(state["cells"], state["facets"], History(state["F"], state["state"], state["of"]))
+        self.mass = state["mass"]
+
     # --- supports and loads ---------------------------------------------------------------------------------------------
     def supported(self) -> list[Array]:
         """The nodes of each support of the scene, by their reference positions."""

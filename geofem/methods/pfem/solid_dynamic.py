@@ -172,3 +172,15 @@ class Dynamic:
             raise Breakdown("cfl", f"a node moves at {speed:.3g} m/s, many times the speed of waves: the steps are too long")
         self._fastest = max(self._fastest, float(np.sqrt(np.sum(body.mass[:, None] * cloud.v**2))))
         body.configure()
+
+    # --- checkpoints ----------------------------------------------------------------------------------------------------
+    def state(self) -> Array:
+        """Numbers that go on from step to step."""
+        head = [self.iterations, self.points, self._fastest, self.internal, self.external]
+        return np.array([*head, *self._momentum, *self._impulse, *np.ravel(list(self.reaction.values()))])
+
+    def restore(self, state: Array) -> None:
+        iterations, points, self._fastest, self.internal, self.external = state[:5].tolist()
+        self.iterations, self.points = int(iterations), int(points)
+        self._momentum, self._impulse = state[5:7], state[7:9].copy()
+        self.reaction = dict(zip(self.reaction, state[9:].reshape(-1, 2)))

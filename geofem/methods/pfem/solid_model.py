@@ -49,7 +49,10 @@ class SolidModel:
     def step(self, dt: float) -> None:
         self.t = self.solver.step(self.t, dt)
         self.work["steps"] += 1
-        self.work["newton"] = self.work["linear"] = self.solver.iterations
+        if isinstance(self.solver, Static):
+            self.work["newton"] = self.work["linear"] = self.solver.iterations
+        else:
+            self.work["point_steps"] = self.solver.points
         if self.remesher is not None:
             self.remesher.look(self.t, dt if self.scene.dynamic else 0.0)
             self.work["remeshes"] = self.remesher.count
@@ -144,6 +147,25 @@ class SolidModel:
         if polygons:
             out["rigid"] = np.concatenate(polygons[:-1])
         return out
+
+    # --- checkpoints ----------------------------------------------------------------------------------------------------
+    def state(self) -> dict[str, Array]:
+        """See ``Model.state``."""
+        if self.comm.rank:
+            return {}
+        numbers = np.array([self.t, *self.work.values(), self.remesher.count if self.remesher else 0])
+        owed = {"owed": self.remesher.budget.owed} if self.remesher else {}
+        return {"numbers": numbers, "solver": self.solver.state(), **owed, **self.body.state()}
+
+    def restore(self, state: dict[str, Array]) -> None:
+        """See ``Model.restore``."""
+        self.t, *counts = state["numbers"].tolist()
+        self.work = {name: int(count) for name, count in zip(self.work, counts)}
+        self.body.restore(state)
+        self.solver.restore(state["solver"])
+        if self.remesher is not None:
+            self.remesher.count, self.remesher.budget.owed = int(counts[-1]), state["owed"]
+            self.remesher.resume()
 
 
 def refuses_solid(scene: Scene) -> str | None:

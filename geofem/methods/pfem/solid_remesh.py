@@ -46,8 +46,12 @@ class Remesher:
     def look(self, t: float, dt: float) -> bool:
         """Mend the mesh at t if it needs that; dt (s) is the step to come. Returns whether it was. Collective."""
         with phase("remesh"):
-            body = self.body
-            made = body.comm.bcast(on_root(body.comm, lambda: self._mended(t, dt)))
+            body, cloud = self.body, self.body.cloud
+            self.obstacles.follow(t, dt)
+            if self.obstacles.rigids:
+                near = np.min([rigid.reach(cloud.x)[0] for rigid in self.obstacles.rigids], axis=0)
+                cloud.size = self.h + GROWTH * np.maximum(near, 0.0)
+            made = body.comm.bcast(on_root(body.comm, lambda: self._mended(dt)))
             if made is None:
                 return False
             body.cloud, self.tessellation, history = made
@@ -55,12 +59,8 @@ class Remesher:
             self.count += 1
             return True
 
-    def _mended(self, t: float, dt: float) -> tuple[Cloud, Tessellation, History] | None:
+    def _mended(self, dt: float) -> tuple[Cloud, Tessellation, History] | None:
         body, cloud = self.body, self.body.cloud
-        self.obstacles.follow(t, dt)
-        if self.obstacles.rigids:
-            near = np.min([rigid.reach(cloud.x)[0] for rigid in self.obstacles.rigids], axis=0)
-            cloud.size = self.h + GROWTH * np.maximum(near, 0.0)
         if not resample.needs(cloud, self.tessellation, SOLID, self.budget, dt):
             return None
         cloud.fields["held"] = self._touching(cloud)
@@ -79,6 +79,10 @@ class Remesher:
         else:
             F, state = (transfer.averaged(a, old.cells, areas, new.cells, count) for a in (history.F, history.state))
         return cloud, new, History(F, state, cloud.region[new.cells[:, 0]])
+
+    def resume(self) -> None:
+        """Take up a body whose cells were restored."""
+        self.tessellation = Tessellation(self.body.cells, self.body.facets, np.full(len(self.body.cells), -1))
 
     def _touching(self, cloud: Cloud) -> Array:
         """(n, obstacles) 1 where a boundary node lies on an obstacle, to within what the contact's penalty lets it sink in."""

@@ -167,3 +167,14 @@ class Static:
         self.imbalance = max(self.imbalance, imbalance)
         if not self.body.small:
             self.body.configure()
+
+    # --- checkpoints ----------------------------------------------------------------------------------------------------
+    def state(self) -> Array:
+        """Numbers that go on from step to step."""
+        head = [self.dt, self.iterations, self.imbalance, self.internal, self.external]
+        return np.array([*head, *np.ravel(list(self.reaction.values()))])
+
+    def restore(self, state: Array) -> None:
+        self.dt, iterations, self.imbalance, self.internal, self.external, *reaction = state.tolist()
+        self.iterations = int(iterations)
+        self.reaction = dict(zip(self.reaction, np.reshape(reaction, (-1, 2))))
