@@ -314,6 +314,18 @@ def test_inside_body_opens_no_hole_and_keeps_a_bubble() -> None:
     assert volume < 0.95 and simplices.volumes(x, t.cells).sum() == pytest.approx(volume, rel=0.01)
 
 
+def test_inside_body_tears_only_where_it_is_told_to() -> None:
+    x, size = lattice(8, jitter=0.0)
+    old = InsideBody()(x, size, None)
+    x[x[:, 0] > 0.51, 0] += 1.0
+    for part, volume in ((np.inf, 2.0), (3.0, 7 / 8)):
+        t = old
+        for _ in range(8):
+            t = InsideBody(part=part)(x, size, t)
+            assert_valid(x, t)
+        assert simplices.volumes(x, t.cells).sum() == pytest.approx(volume, rel=1e-12)
+
+
 def test_inside_body_fills_the_place_of_a_node_that_was_removed() -> None:
     """Also beside the boundary: of the old cells those around the node are missing."""
     x, size = lattice(6, 3)

@@ -134,7 +134,7 @@ def measures(setup: Setup, whole: bool) -> tuple[Measure, ...]:
     shown = [
         Measure("front", "-", error=lambda history: setup.compared(history)[1], reference=Reference("experiment", source)),
         Measure("shift", "-", lambda history: setup.compared(history)[0]),
-        Measure("volume", "-", drift),
+        Measure("volume", "-", drift, error=drift),
     ]
     if not whole:
         shown.append(Measure("reach", "s", setup.reach))

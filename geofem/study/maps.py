@@ -108,6 +108,10 @@ def cells_along(x: float) -> dict[str, int]:
 
 
 LINEAR = Scale("linear")
+CLASSICAL = {"tessellation": "alpha", "configuration": "end", "theta": 1.0}
+"""The particle finite element method as it was first written."""
+LONG = {"dt": 0.05}
+"""Steps (s) that nothing but the Courant number limits."""
 BAR = {"n": 8, "scheme": "usl"}
 
 
@@ -217,6 +221,48 @@ MAPS = {
             analysis="geofem.methods.mpm.frozen:null_share",
             coarse=7,
             bisections=4,
+        ),
+        Map(
+            name="alpha",
+            title="Volume that a boundary search makes: dam break after Koshizuka and Oka, until the far wall",
+            scene="dam_break",
+            measure="volume",
+            quantity="largest drift of the volume",
+            variants=(
+                *(
+                    Variant(f"alpha shape, {walls} walls, n = {n}", "pfem", {**CLASSICAL, "walls": walls, "n": n})
+                    for walls, n in (("fixed", 6), ("fixed", 10), ("slide", 10))
+                ),
+                Variant("boundary kept, n = 10", "pfem", {"n": 10}),
+            ),
+            knob="alpha",
+            axis="alpha: largest circumscribed circle of a cell over the spacing",
+            scale=LINEAR,
+            scene_knobs={"setup": "koshizuka"},
+            safe=1.1,
+            harsh=1.7,
+            threshold=0.005,
+            coarse=5,
+            bisections=0,
+        ),
+        Map(
+            name="courant",
+            title="Length of a step: dam break after Koshizuka and Oka, until the far wall, 8 cells across",
+            scene="dam_break",
+            measure="front",
+            quantity="error of the front",
+            variants=(
+                Variant("theta = 1/2, middle of the step", "pfem", {**LONG, "n": 8}),
+                Variant("theta = 1, end of the step", "pfem", {**LONG, "n": 8, "theta": 1.0, "configuration": "end"}),
+            ),
+            knob="cfl",
+            axis="spacings that a node goes in a step",
+            scene_knobs={"setup": "koshizuka"},
+            safe=0.1,
+            harsh=4.0,
+            threshold=0.1,
+            coarse=5,
+            bisections=2,
         ),
         Map(
             name="transfer",

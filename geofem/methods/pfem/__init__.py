@@ -49,7 +49,7 @@ class Pfem:
         alpha: float = 1.25,
         backend: str = "auto",
         configuration: str = "mid",
-        theta: float = 0.5,
+        theta: float | None = None,
         cfl: float = 0.25,
         dt: float | None = None,
         element: str = "p1p1",
@@ -70,7 +70,8 @@ class Pfem:
         n : cells across the scene's length.
         stabilisation : of fluids the factor on tau of equal-order elements (1; 0: none); of solids the share of the shear stiffness
             that acts on each triangle against the modes that nodal averages do not see (0.002, and 0.02 in motion).
-        tolerance : of fluids the change of the velocity in the last iteration by the largest velocity (1e-6); of solids the force
+        tolerance : of fluids the change of the velocity in the last iteration by the largest velocity (1e-6, and 1e-3 with a yield
+            stress); of solids the force
             out of balance by the forces that balance (1e-9, plastic laws 1e-5).
 
         Of fluids:
@@ -80,7 +81,8 @@ class Pfem:
         alpha : radius of the circumscribed circle, by the spacing, up to which a cell belongs to the alpha shape.
         backend : of the triangulation: auto, native (CGAL's headers and a compiler), compas (the wheel compas_cgal), qhull.
         configuration : where the equations hold: mid (the step then keeps the volume), end (the classical updated Lagrangian), start.
-        theta : of the time rule, 0.5 (keeps the energy) to 1 (backward Euler).
+        theta : of the time rule, 0.5 (keeps the energy; the default) to 1 (backward Euler; the default with alpha shapes, whose new cells
+            bring velocities that are not solenoidal).
         cfl : no node goes further in a step than this part of its spacing. dt : longest step (s); by default a hundredth of the
             run, and of the period.
         element : p1p1 (stabilised), or mini (bubbles, as a check).

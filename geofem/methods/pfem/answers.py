@@ -10,7 +10,7 @@ import numpy as np
 from geofem.core.sampling import quantile
 from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact
 from geofem.mistake import Mistake
 from geofem.scene import Array, Probe, Scene
 
@@ -67,7 +67,7 @@ class Places:
         return self.value(probe.at, cloud, fields[probe.quantity][:, c])
 
 
-def reaction(obstacles: Obstacles, cloud: Cloud, force: Array, name: str) -> Array:
+def reaction(obstacles: Contact, cloud: Cloud, force: Array, name: str) -> Array:
     """Force (gdim,) that an obstacle exerts on the nodes (N); a node in a corner shares it by the normals."""
     touch = obstacles.touch(cloud)
     number = obstacles.names.index(name)
@@ -91,7 +91,15 @@ def kinetic(cloud: Cloud, cells: Array) -> float:
     return 0.5 * float(mesh + cloud.carried @ np.sum(cloud.v**2, axis=1))
 
 
-def snapshot(cloud: Cloud, cells: Array, obstacles: Obstacles) -> dict[str, Any]:
+def surface(x: Array, facets: Array) -> float:
+    """Length (m) or area (m2) of all boundary facets."""
+    a = x[facets[:, 1]] - x[facets[:, 0]]
+    if x.shape[1] == 2:
+        return float(np.linalg.norm(a, axis=1).sum())
+    return 0.5 * float(np.linalg.norm(np.cross(a, x[facets[:, 2]] - x[facets[:, 0]]), axis=1).sum())
+
+
+def snapshot(cloud: Cloud, cells: Array, obstacles: Contact) -> dict[str, Any]:
     """Nodes and cells for pictures, and the outlines of rigid bodies."""
     n, gdim = cloud.x.shape
     points = np.zeros((n, 3))

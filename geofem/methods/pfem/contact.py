@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from geofem.mistake import Mistake
 from geofem.scene import Array, Rigid, Scene, Wall
 
 TOUCH = 1e-3
-"""Within this part of its size a node touches an obstacle that it does not move away from."""
+"""Within this part of its size a node touches an obstacle that it moves towards."""
+SLIP = 0.05
+"""A held node that is farther than this part of its size from the obstacle has slid off its end or round its corner."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,23 @@ class Touch:
     def count(self) -> Array:
         """How many constraints each node has, (n,)."""
         return (self.obstacle >= 0).sum(axis=1)
+
+
+class Contact(Protocol):
+    """What stops nodes: ``Obstacles``, or the classical particles of walls."""
+
+    names: list[str]
+    rigids: list[Convex]
+
+    def follow(self, t: float, dt: float) -> None: ...
+
+    def held(self, cloud: Cloud) -> Array: ...
+
+    def touch(self, cloud: Cloud) -> Touch: ...
+
+    def clip(self, cloud: Cloud, cells: Array, budget: Budget) -> Any: ...
+
+    def release(self, cloud: Cloud, force: Array, cells: Array, budget: Budget) -> Any: ...
 
 
 class Plane:
@@ -95,6 +114,8 @@ class Convex:
         side = np.roll(self.corners, -1, axis=0) - self.corners
         self.normals = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.linalg.norm(side, axis=1)[:, None]
         self.shift, self.velocity = np.zeros(2), np.zeros(2)
+        self.open = np.ones(len(self.corners), bool)
+        """Faces that can be touched, as no wall lies against them."""
 
     def follow(self, t: float, dt: float) -> None:
         """Stand where it is at t, with the mean velocity of the step of dt that follows."""
@@ -106,7 +127,7 @@ class Convex:
         """Distance (n,) of nodes (n, 2) from the body, negative in it, and the normals (n, 2) out of it."""
         relative = x - self.shift
         height = np.einsum("fd,nfd->nf", self.normals, relative[:, None] - self.corners)
-        face = height.argmax(axis=1)
+        face = np.where(self.open, height, -np.inf).argmax(axis=1)
         distance, normals = height[np.arange(len(x)), face], self.normals[face].copy()
         away = relative[:, None] - self.corners
         length = np.linalg.norm(away, axis=2)
@@ -152,6 +173,10 @@ class Obstacles:
         """Move the rigid bodies to where they are at t (s); dt (s) is the step that follows."""
         for rigid in self.rigids:
             rigid.follow(t, dt)
+            corners = rigid.corners + rigid.shift
+            middle = 0.5 * (corners + np.roll(corners, -1, axis=0)) + 1e-3 * np.ptp(corners, axis=0).max() * rigid.normals
+            buried = [plane.reach(middle)[0] < 0 for plane in self.planes]
+            rigid.open = ~np.any(buried, axis=0) if buried else rigid.open
 
     def held(self, cloud: Cloud) -> Array:
         """(n, k) bool: who is held by what. New nodes are where all their parents were; supports ask for the reference place."""
@@ -197,7 +222,7 @@ class Obstacles:
             into = np.einsum("nd,nd->n", cloud.v - solid.velocity, normals)  # < 0: moves into the obstacle
             held = field[:, o] > 0.999
             reached = (distance < 0) | (distance < TOUCH * cloud.size) & (into < 0)
-            gone = held & ~np.isfinite(distance)  # slid off the end of a wall
+            gone = held & (distance > SLIP * cloud.size)
             field[gone, o] = 0.0
             on = np.flatnonzero((held | reached) & ~gone & np.isfinite(distance))
             budget.jolted |= bool((field[on, o] < 0.999).any())

@@ -10,7 +10,7 @@ from mpi4py import MPI
 from geofem import materials
 from geofem.methods.pfem.budget import volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.fluid_forms import FlowForms, flow_forms
 from geofem.methods.pfem.fluid_system import FluidSystem
 from geofem.methods.pfem.tessellation import Tessellation
@@ -80,7 +80,7 @@ class Flow:
             total += self.scene.amplitude(load, t) * np.asarray(load.value, float)[: self.scene.gdim]
         return total
 
-    def solve(self, cloud: Cloud, mesh: Tessellation, obstacles: Obstacles, t: float, dt: float) -> tuple[Array, Array]:
+    def solve(self, cloud: Cloud, mesh: Tessellation, obstacles: Contact, t: float, dt: float) -> tuple[Array, Array]:
         """Velocities (n, gdim) and pressures (n,) at t + theta dt. Raises ``Breakdown``. Collective.
 
         mesh : cells and boundary facets, on every rank.
@@ -113,7 +113,7 @@ class Flow:
 class Ties:
     """What obstacles and surface tension do to nodes in one step: components that are held, springs and forces."""
 
-    def __init__(self, flow: Flow, cloud: Cloud, mesh: Tessellation, obstacles: Obstacles, dt: float, gravity: Array):
+    def __init__(self, flow: Flow, cloud: Cloud, mesh: Tessellation, obstacles: Contact, dt: float, gravity: Array):
         self.flow, self.cloud, self.mesh, self.dt = flow, cloud, mesh, dt
         n, gdim = cloud.x.shape
         touch = obstacles.touch(cloud)

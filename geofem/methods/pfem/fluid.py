@@ -9,14 +9,17 @@ from geofem import materials
 from geofem.core import mesh as meshes
 from geofem.core.mpi import on_root
 from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.contact import Contact, Obstacles
 from geofem.methods.pfem.flow import CONFIGURATIONS, Scheme
 from geofem.methods.pfem.fluid_forms import ELEMENTS
 from geofem.methods.pfem.fluid_model import FluidModel
+from geofem.methods.pfem.particles import WallParticles, beside_walls
 from geofem.methods.pfem.surface import Rules
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator, simplices
 from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.methods.pfem.tessellation.common import finished
 from geofem.methods.pfem.tessellation.constrained import Constrained
+from geofem.methods.pfem.tessellation.inside import InsideBody
 from geofem.mistake import Mistake, unknown
 from geofem.scene import Scene
 
@@ -40,7 +43,7 @@ def refuses(scene: Scene) -> str | None:
 
 
 def build_fluid(
-    scene: Scene, *, n: int, tessellation: str, alpha: float, backend: str, configuration: str, theta: float, cfl: float,
+    scene: Scene, *, n: int, tessellation: str, alpha: float, backend: str, configuration: str, theta: float | None, cfl: float,
     dt: float | None, element: str, stabilisation: float | None, tolerance: float | None, compressible: bool, walls: str, jitter: float,
 ) -> FluidModel:  # fmt: skip
     """See ``Pfem.build``."""
@@ -58,8 +61,11 @@ def build_fluid(
         raise Mistake(f"knob n = {n!r}: the number of cells across the scene's length is a whole number, at least 1")
     if not isinstance(compressible, bool):
         raise Mistake(f"knob compressible = {compressible!r}: is true or false")
+    if theta is None:
+        theta = 0.5 if tessellation == "constrained" else 1.0
     stabilisation = 1.0 if stabilisation is None else stabilisation
-    tolerance = 1e-6 if tolerance is None else tolerance
+    if tolerance is None:
+        tolerance = 1e-6 if scene.regions[0].material.law == "newtonian" else 1e-3
     longest = scene.t_end / STEPS if dt is None else dt
     if dt is None and scene.period:
         longest = min(longest, scene.period / STEPS)
@@ -77,12 +83,18 @@ def build_fluid(
     size = scene.length / n
     maker: Tessellator = AlphaShape(alpha, backend=backend)
     if tessellation == "constrained":
-        maker = Constrained(alpha, backend=backend)
+        maker = Constrained(alpha, backend=backend) if scene.gdim == 2 else InsideBody(alpha, backend=backend)
+    elif scene.gdim == 3 and backend == "compas":
+        raise Mistake("knob backend = 'compas': is for the plane; choose native or qhull")
     comm = MPI.COMM_WORLD
     cloud, mesh = comm.bcast(on_root(comm, lambda: first(scene, n, size, jitter, maker)))
+    obstacles: Contact = Obstacles(scene, cloud)
+    if walls == "fixed":
+        obstacles = WallParticles(scene, cloud)
+        mesh = comm.bcast(on_root(comm, lambda: beside_walls(maker(cloud.x, cloud.size, None), cloud)))
     rules = Rules(boundary=tessellation == "constrained" and scene.gdim == 2)
     scheme = Scheme(theta, configuration, element, stabilisation, tolerance, compressible)
-    return FluidModel(scene, cloud, mesh, maker, scheme, rules, cfl, longest)
+    return FluidModel(scene, cloud, mesh, maker, scheme, rules, cfl, longest, obstacles)
 
 
 def first(scene: Scene, n: int, size: float, jitter: float, maker: Tessellator) -> tuple[Cloud, Tessellation]:

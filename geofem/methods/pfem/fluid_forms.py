@@ -64,9 +64,10 @@ class FlowForms:
     matrix: Any
     residual: Any
     powers: tuple[Any, ...]
+    springs: bool
 
     def bind(self, form: Any, space: Any, functions: dict[str, Any], constants: dict[str, Any], spaces: int) -> fem.Form:
-        """The form on a mesh: no compilation. functions : w, w0, spring, pull."""
+        """The form on a mesh: no compilation. functions : w, w0 and, if there are springs, spring, pull."""
         coefficients = {getattr(self, name): function for name, function in functions.items()}
         named = {self.constants[name]: constants[name] for name in self.constants} | {self.gravity: constants["gravity"]}
         cells = np.arange(space.mesh.topology.index_map(space.mesh.topology.dim).size_local, dtype=np.int32)
@@ -138,7 +139,9 @@ def flow_forms(gdim: int, element: str, viscosity: str, springs: bool) -> FlowFo
         return fem.compile_form(MPI.COMM_WORLD, form, jit_options=JIT)
 
     powers = tuple(compiled(form) for form in (viscous, stab) if form is not None)
-    return FlowForms(domain, mixed, w, w0, c, gravity, spring, pull, compiled(left(u, p, v, q)), compiled(residual), powers)
+    return FlowForms(
+        domain, mixed, w, w0, c, gravity, spring, pull, compiled(left(u, p, v, q)), compiled(residual), powers, springs
+    )
 
 
 def effective_viscosity(viscosity: str, c: dict[str, Any], rate: Any, p: Any, h: Any) -> Any:

@@ -14,11 +14,13 @@ from geofem.cost import phase
 from geofem.methods.pfem import answers
 from geofem.methods.pfem.budget import Amount, Budget, volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme, node_volumes
+from geofem.methods.pfem.particles import beside_walls
 from geofem.methods.pfem.resample import needs, remesh
 from geofem.methods.pfem.surface import Rules
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
+from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.mistake import Breakdown
 from geofem.scene import Array, Probe, Scene
 
@@ -26,6 +28,8 @@ GROW = 1.5
 """A step is longer than the one before by this factor at most, once steps had to be cut."""
 SMALLEST = 1e-3
 """A step is cut no further than to this fraction of what the CFL number allows."""
+RIPPLE = 0.5
+"""Share of the time of the shortest ripple of surface tension (Brackbill, Kothe and Zemach 1992, J. Comput. Phys. 100:335-354)."""
 FLAT = 0.02
 """A step is cut where it would leave less than this part of the volume of a cell."""
 
@@ -37,23 +41,27 @@ class FluidModel:
     """
 
     def __init__(self, scene: Scene, cloud: Cloud, mesh: Tessellation, tessellator: Tessellator, scheme: Scheme, rules: Rules,
-                 cfl: float, dt: float):  # fmt: skip
+                 cfl: float, dt: float, obstacles: Contact):  # fmt: skip
         self.scene, self.cloud, self.mesh, self.tessellator, self.rules = scene, cloud, mesh, tessellator, rules
         self.comm = MPI.COMM_WORLD
         self.cfl, self._longest = cfl, dt
         self.scheme = scheme
         self.flow = Flow(self.comm, scene, scheme)
-        self.obstacles = Obstacles(scene, cloud)
+        self.obstacles = obstacles
         self.t, self._limit = 0.0, math.inf
         self.work = {"steps": 0, "newton": 0, "linear": 0, "remeshes": 0, "cuts": 0, "factorisations": 0, "meshes": 0}
         if scene.initial_velocity is not None:
             cloud.v[:] = scene.initial_velocity(cloud.X.T).T
         self.budget = Budget(self.flow.gravity(0.0))
         self._stale = True
+        self.kept = not isinstance(tessellator, AlphaShape)
+        """Whether the boundary is that of the step before; an alpha shape finds it anew in every step."""
         self.start = Amount.of(cloud, mesh.cells, self.budget.gravity)
         self._worst = 0.0
         self._energy = {"internal": 0.0, "external": 0.0}
         self.impulse = np.zeros(scene.gdim)
+        self._pushed = self.flow.density * math.sqrt(2 * self.start.volume * self.start.kinetic)
+        """Sizes of all impulses of gravity and of the first momentum (N s), the scale of what ought to be nought."""
         self._places = answers.Places(scene, cloud, mesh.cells)
 
     # --- the step -------------------------------------------------------------------------------------------------
@@ -65,9 +73,8 @@ class FluidModel:
         fall = (-speed + np.sqrt(speed**2 + 2 * gravity * way)) / gravity if gravity > 0 else way / np.maximum(speed, 1e-300)
         limit = float(fall.min())
         if self.flow.tension:
-            limit = min(
-                limit, float(np.sqrt(self.flow.density * self.cloud.size.min() ** 3 / (2 * math.pi * self.flow.tension)))
-            )
+            ripple = self.flow.density * float(self.cloud.size.min()) ** 3 / (2 * math.pi * self.flow.tension)
+            limit = min(limit, RIPPLE * math.sqrt(ripple))
         return min(limit, self._longest, self._limit)
 
     def step(self, dt: float) -> None:
@@ -116,7 +123,9 @@ class FluidModel:
     def _move(self, dt: float, u: Array, p: Array, before: Array, after: Array) -> None:
         cloud, mesh, theta = self.cloud, self.mesh, self.flow.scheme.theta
         gravity = self.flow.gravity(self.t + theta * dt)
-        flying = cloud.carried > 0
+        flying = np.bincount(mesh.cells.ravel(), minlength=cloud.n) == 0
+        if "fixed" in cloud.fields:
+            flying &= cloud.fields["fixed"] < 0.5
         new = cloud.v + (u - cloud.v) / theta
         way = CONFIGURATIONS[self.scheme.configuration]
         mass = self.flow.density * node_volumes(cloud.x + way * dt * u, mesh.cells)
@@ -126,6 +135,7 @@ class FluidModel:
         flown = self.flow.density * cloud.carried
         fall = cloud.v * dt + 0.5 * dt * dt * gravity
         self._energy["external"] += dt * work + float((flown[:, None] * fall * gravity).sum())
+        self._pushed += dt * float((mass + flown).sum()) * float(np.linalg.norm(gravity))
         self.impulse += dt * ((mass + flown).sum() * gravity + self.flow.reaction.sum(axis=0))
         start = Amount.of(cloud, mesh.cells, self.budget.gravity)
         cloud.x = np.where(flying[:, None], cloud.x + fall, cloud.x + dt * u)
@@ -140,6 +150,7 @@ class FluidModel:
             self.obstacles.follow(self.t, dt)
             self.obstacles.release(self.cloud, self.flow.reaction, self.mesh.cells, self.budget)
             self.obstacles.clip(self.cloud, self.mesh.cells, self.budget)
+        ids = self.cloud.id
         with phase("remesh"):
             made = on_root(self.comm, lambda: self._remesh(dt))
             if self.comm.size > 1:
@@ -147,16 +158,18 @@ class FluidModel:
                     (self.cloud, self.budget, made) if self.comm.rank == 0 else None
                 )
         if made is not None:
-            same = len(made.cells) == len(self.mesh.cells) and bool(np.all(made.parents == np.arange(len(made.cells))))
+            # what flies away or comes back may change the numbers of the nodes and no cell
+            same = np.array_equal(made.cells, self.mesh.cells) and np.array_equal(ids, self.cloud.id)
             self.mesh, self._stale = made, not same
             self.work["remeshes"] += 1
         drift = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity).volume / self.start.volume - 1.0
         self._worst = max(self._worst, drift, -drift, key=abs)
 
     def _remesh(self, dt: float) -> Tessellation | None:
-        if not needs(self.cloud, self.mesh, self.rules, self.budget, dt):
+        if self.kept and not needs(self.cloud, self.mesh, self.rules, self.budget, dt):
             return None
-        return remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
+        made = remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
+        return beside_walls(made, self.cloud) if "fixed" in self.cloud.fields else made
 
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
@@ -168,19 +181,20 @@ class FluidModel:
         )
 
     def energy(self) -> dict[str, float]:
-        """Kinetic energy; ``internal`` is what viscosity and the stabilisation have turned into heat, ``external`` the work of gravity."""
+        """Kinetic energy; ``internal``: heat of viscosity and the stabilisation, and that of the surface; ``external``: work of gravity."""
         kinetic = self.flow.density * answers.kinetic(self.cloud, self.mesh.cells)
-        return {"kinetic": kinetic, **self._energy}
+        heat, work = self._energy["internal"], self._energy["external"]
+        surface = answers.surface(self.cloud.x, self.mesh.facets) if self.flow.tension else 0.0
+        return {"kinetic": kinetic, "internal": heat + self.flow.tension * surface, "external": work}
 
     def checks(self) -> dict[str, float | None]:
         """Relative drifts: ``volume`` of the mesh and of what flies, the largest so far; ``momentum`` less all impulses."""
         now = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)
         drift = now.volume / self.start.volume - 1.0
         lost = self.flow.density * (now.momentum - self.start.momentum) - self.impulse
-        for kind in ("wall",):
-            lost -= self.flow.density * self.budget.of[kind].momentum
-        scale = self.flow.density * self.start.volume * (1e-300 + float(np.linalg.norm(self.cloud.v, axis=1).max(initial=0.0)))
-        return {"mass": drift, "momentum": float(np.linalg.norm(lost)) / scale if scale > 1e-250 else None, "volume": self._worst,
+        lost -= self.flow.density * self.budget.of["wall"].momentum
+        momentum = float(np.linalg.norm(lost)) / self._pushed if self._pushed > 0 and self.scheme.element == "p1p1" else None
+        return {"mass": drift, "momentum": momentum, "volume": self._worst,
                 **{f"volume_{kind}": amount.volume / self.start.volume for kind, amount in self.budget.of.items()}}  # fmt: skip
 
     def size(self) -> dict[str, int]:
@@ -200,14 +214,14 @@ class FluidModel:
 
     # --- checkpoints ----------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
-        numbers = [self.t, self._limit, self._worst, *self._energy.values(), *self.impulse]
+        numbers = [self.t, self._limit, self._worst, self._pushed, *self._energy.values(), *self.impulse]
         out = {"numbers": np.array(numbers), "work": np.array(list(self.work.values()), float)}
         out |= {"cells": self.mesh.cells, "facets": self.mesh.facets, "reaction": self.flow.reaction}
         out |= answers.cloud_state(self.cloud) | answers.budget_state(self.budget)
         return out
 
     def restore(self, state: dict[str, Array]) -> None:
-        self.t, self._limit, self._worst, internal, external, *impulse = state["numbers"].tolist()
+        self.t, self._limit, self._worst, self._pushed, internal, external, *impulse = state["numbers"].tolist()
         self._energy = {"internal": internal, "external": external}
         self.impulse = np.array(impulse)
         self.work = dict(zip(self.work, state["work"].astype(int).tolist()))

@@ -46,12 +46,14 @@ class FluidSystem:
             self.space = fem.functionspace(self.mesh, forms.element)
             self._number(at)
             self.w, self.w0 = fem.Function(self.space), fem.Function(self.space)
-            self.spring = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1, (gdim, gdim))))
-            self.pull = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1, (gdim,))))
+            functions = {"w": self.w, "w0": self.w0}
+            if forms.springs:
+                self.spring = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1, (gdim, gdim))))
+                self.pull = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1, (gdim,))))
+                functions |= {"spring": self.spring, "pull": self.pull}
             scalar = PETSc.ScalarType
             self.constants = {name: fem.Constant(self.mesh, scalar(values.get(name, 0.0))) for name in CONSTANTS}
             self.constants["gravity"] = fem.Constant(self.mesh, np.zeros(gdim, scalar))
-            functions = {"w": self.w, "w0": self.w0, "spring": self.spring, "pull": self.pull}
             self._residual_form = forms.bind(forms.residual, self.space, functions, self.constants, 1)
             self._powers = [forms.bind(power, self.space, functions, self.constants, 0) for power in forms.powers]
             matrix_form = forms.bind(forms.matrix, self.space, functions, self.constants, 2)

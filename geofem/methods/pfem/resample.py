@@ -10,11 +10,11 @@ from scipy.sparse.csgraph import connected_components
 
 from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
 from geofem.methods.pfem.surface import Rules, change_boundary
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
-from geofem.methods.pfem.tessellation.simplices import quality
+from geofem.methods.pfem.tessellation.simplices import parents, quality
 from geofem.scene import Array
 
 
@@ -197,9 +197,11 @@ def tessellate(cloud: Cloud, old: Tessellation, tessellator: Tessellator, rules:
         return tessellator(cloud.x, cloud.size, old)
     grounded = np.flatnonzero(cloud.carried == 0)
     number = np.cumsum(cloud.carried == 0) - 1
-    part = Tessellation(number[old.cells], number[old.facets], old.parents)
-    new = tessellator(cloud.x[grounded], cloud.size[grounded], part)
-    return Tessellation(grounded[new.cells], grounded[new.facets], new.parents)
+    # Without the old cells: nodes that the boundary has passed over are to be left outside.
+    bare = Tessellation(np.zeros((0, 3), np.int64), number[old.facets], old.parents[:0])
+    new = tessellator(cloud.x[grounded], cloud.size[grounded], bare)
+    cells = grounded[new.cells]
+    return Tessellation(cells, grounded[new.facets], parents(cells, old.cells))
 
 
 def refused(x: Array, facets: Array, new: Tessellation) -> Array:
@@ -219,7 +221,7 @@ def refused(x: Array, facets: Array, new: Tessellation) -> Array:
 def remesh(
     cloud: Cloud,
     tessellation: Tessellation,
-    obstacles: Obstacles,
+    obstacles: Contact,
     tessellator: Tessellator,
     rules: Rules,
     budget: Budget,
@@ -247,8 +249,8 @@ def remesh(
     new = tessellate(cloud, old, tessellator, rules)
     big = too_big(cloud, new.cells, rules)
     if len(big):
-        parents = new.cells[big]
-        cloud.add(parents, np.full(parents.shape, 1 / parents.shape[1]))
+        corners = new.cells[big]
+        cloud.add(corners, np.full(corners.shape, 1 / corners.shape[1]))
         new = tessellate(cloud, Tessellation(old.cells, new.facets, rows), tessellator, rules)
     if rules.boundary:
         budget.owed = np.concatenate([budget.owed, refused(cloud.x, old.facets, new)])

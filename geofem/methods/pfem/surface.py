@@ -8,7 +8,7 @@ import numpy as np
 
 from geofem.methods.pfem.budget import Budget
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Obstacles
+from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, link, nearest, tally, winding
 from geofem.methods.pfem.surgery import MERGE, RESAMPLE, SEPARATE, Event, collapse, give, join_and_part, uncross, unfold
 from geofem.scene import Array
@@ -75,7 +75,7 @@ def split(cloud: Cloud, facets: Array, coarse: float) -> Array:
 
 
 def change_boundary(
-    cloud: Cloud, facets: Array, obstacles: Obstacles, rules: Rules, dt: float, budget: Budget
+    cloud: Cloud, facets: Array, obstacles: Contact, rules: Rules, dt: float, budget: Budget
 ) -> tuple[Array, Array, Array]:
     """All that happens to the boundary. Mutates the cloud, but drops no node.
 

@@ -32,8 +32,9 @@ class InsideBody:
     Fernandez and Ponthot (2024), but with cells that are there or not.
 
     alpha : the alpha shape that makes the first body, where there is none yet.
-    part : cells whose circumradius is above that many sizes go, if they are at the boundary: a body that is torn comes apart.
-        Fronts join once they overlap, since what lies between is then in the old body; so no cell joins and parts by turns.
+    part : cells whose circumradius is above that many sizes go, layer by layer from the boundary: a body that is torn comes
+        apart, and what it loses by that is lost; infinite for none. Fronts join once they overlap, since what lies between is
+        then in the old body. So no cell joins and parts by turns.
     sliver : ``simplices.quality`` below which a tetrahedron is taken apart inside and dropped at the boundary.
     backend : see ``backends.delaunay``.
     seen : ``slivers`` found, ``left`` of them in the end, ``holes`` filled (cells inside that were in no old one), ``parted``
@@ -41,7 +42,7 @@ class InsideBody:
     """
 
     alpha: float = 1.2
-    part: float = 3.0
+    part: float = np.inf
     sliver: float = 0.1
     backend: str = "auto"
     seen: Counter[str] = field(default_factory=Counter, compare=False)
