@@ -90,6 +90,13 @@ class Plane:
             self.place = 0.0
         self.velocity = np.zeros(len(self.normal))
 
+    def meet(self, cloud: Cloud) -> None:
+        """Go through the nodes that lie on it but for the tolerance of its predicate."""
+        away = np.abs(cloud.x[:, self.axis] - self.place)
+        nearest = int(away.argmin())
+        if away[nearest] < 1e-6 * cloud.size[nearest]:
+            self.place = float(cloud.x[nearest, self.axis])
+
     def reach(self, x: Array) -> tuple[Array, Array]:
         """Distance (n,) of nodes (n, gdim) from the plane, negative beyond it, inf where there is none; and normals (n, gdim)."""
         distance = (x[:, self.axis] - self.place) * self.normal[self.axis]
@@ -157,6 +164,8 @@ class Obstacles:
         if scene.room is not None:
             low, high = np.minimum(low, scene.room.low), np.maximum(high, scene.room.high)
         self.planes = [Plane(wall, low, high) for wall in scene.walls]
+        for plane in self.planes:
+            plane.meet(cloud)
         self.rigids = [Convex(rigid) for rigid in scene.rigids]
         self.solids: list[Any] = [*self.planes, *self.rigids]
         self.supports = [(s.name, s.where, c) for s in scene.supports if s.value is None for c in s.components]

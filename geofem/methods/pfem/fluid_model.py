@@ -192,7 +192,9 @@ class FluidModel:
         now = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)
         drift = now.volume / self.start.volume - 1.0
         lost = self.flow.density * (now.momentum - self.start.momentum) - self.impulse
-        lost -= self.flow.density * self.budget.of["wall"].momentum
+        for kind in ("wall", "resample"):
+            # what obstacles took when nodes were put on them, and from nodes that were made anew on them
+            lost -= self.flow.density * self.budget.of[kind].momentum
         momentum = float(np.linalg.norm(lost)) / self._pushed if self._pushed > 0 and self.scheme.element == "p1p1" else None
         return {"mass": drift, "momentum": momentum, "volume": self._worst,
                 **{f"volume_{kind}": amount.volume / self.start.volume for kind, amount in self.budget.of.items()}}  # fmt: skip
