@@ -142,3 +142,17 @@ def test_ranks_agree(mpirun):
     one, two, three = (np.array(mpirun(n, RANKS).split(), float) for n in (1, 2, 3))
     assert np.allclose(two, one, rtol=1e-9, atol=1e-12)
     assert np.allclose(three, one, rtol=1e-9, atol=1e-12)
+
+
+def test_bodies_touch_by_the_mesh_between_them():
+    """Two discs are pressed together and part: momentum stays to rounding, most of the energy comes back."""
+    scene = scenes.get("collision")()
+    model = build_solid(scene, n=14)
+    before, least = model.energy()["kinetic"], np.inf
+    while model.t < 3.0:
+        model.step(model.dt())
+        least = min(least, model.energy()["kinetic"])
+    assert least < 0.5 * before and 0.85 * before < model.energy()["kinetic"] < before
+    assert model.checks()["momentum"] < 1e-12
+    lower = model.body.cloud.region == 0
+    assert model.body.cloud.v[lower].mean() < -0.05 and model.body.cloud.v[~lower].mean() > 0.05

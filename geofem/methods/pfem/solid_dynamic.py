@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from geofem.cost import phase
-from geofem.methods.pfem import solid_contact, solid_domains, solid_explicit
+from geofem.methods.pfem import solid_contact, solid_domains, solid_explicit, solid_interface
 from geofem.methods.pfem.solid_body import Body
 from geofem.methods.pfem.solid_laws import History, stretched, volume_only
 from geofem.methods.pfem.solid_system import gathered, share
@@ -60,7 +60,8 @@ class Dynamic:
         lame = body.laws.lame[body.history.region]
         modulus = (lame[:, 0] + 2.0 * lame[:, 1]) / body.history.volume
         fastest = solid_explicit.largest_frequency(d.first, d.node, d.gradient, d.bulk, d.volume, modulus, body.mass)
-        return SAFETY * 2.0 / fastest
+        # springs between bodies stiffen as they are pressed together
+        return (SAFETY if len(self.scene.regions) == 1 else 0.5 * SAFETY) * 2.0 / fastest
 
     def momentum(self) -> Array:
         return self.body.mass @ self.body.cloud.v
@@ -96,10 +97,15 @@ class Dynamic:
         hold_cells = hold[cloud.region[body.cells[:, 0]]]
         updates = [solid_explicit.make_update(law.point) for law in laws.laws]
         tri = body.triangles
+        elements = solid_interface.contact_elements(cloud, body.facets)
+        lame = laws.lame[cloud.region]
+        spring = lame[:, 0] + 2.0 * lame[:, 1]
         for k in range(count):
             s = (k + 0.5) / count
             force = np.zeros((n, 2))
             solid_domains.add_forces(domains.first, domains.node, domains.gradient, domains.bulk, domains.volume, P, force)
+            if len(elements):
+                solid_interface.add_contact(elements, cloud.x, u, spring, cloud.size, force)
             if body.stabilised:
                 solid_explicit.add_hold(body.cells, tri.gradient, tri.volume, hold_cells, du, force)
             self.external += solid_explicit.advance(

@@ -241,7 +241,9 @@ def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bo
 
     cloud, cells = comm.bcast(on_root(comm, made))
     body = Body(scene, cloud, cells, state, cured, stabilisation, comm)
-    remesher = Remesher(body, scene.length / n, transfer) if remesh and scene.strain == "finite" else None
+    # with several bodies the triangulation between them is theirs to touch by, and each keeps its own
+    mended = remesh and scene.strain == "finite" and len(scene.regions) == 1
+    remesher = Remesher(body, scene.length / n, transfer) if mended else None
     if scene.dynamic:
         return SolidModel(scene, body, Dynamic(body), remesher)
     steps = steps or (STEPS_PER_CELL * n if scene.rigids else 10)
