@@ -67,9 +67,14 @@ class Remesher:
         history, old = body.history, self.tessellation
         if body.nodal:
             cloud.fields |= {"F": history.F, "state": history.state}
-        else:
-            places, areas = cloud.x[old.cells].mean(axis=1), body.triangles.volume
-            count = cloud.n
+        elif self.transfer == "average":
+            weight = np.maximum(np.bincount(old.cells.ravel(), np.repeat(body.triangles.volume, 3), cloud.n), 1e-300)
+            for name, values in (("F", history.F), ("state", history.state)):
+                sums = np.zeros((cloud.n, values.shape[1]))
+                for corner in old.cells.T:
+                    np.add.at(sums, corner, values * body.triangles.volume[:, None])
+                cloud.fields[name] = sums / weight[:, None]
+        places = cloud.x[old.cells].mean(axis=1)
         new = resample.remesh(cloud, old, self.obstacles, self.tessellator, SOLID, self.budget, dt)
         if body.nodal:
             return cloud, new, History(cloud.fields.pop("F"), cloud.fields.pop("state"), cloud.region)
@@ -77,7 +82,7 @@ class Remesher:
             centres = cloud.x[new.cells].mean(axis=1)
             F, state = (transfer.copied(a, new.parents, places, centres) for a in (history.F, history.state))
         else:
-            F, state = (transfer.averaged(a, old.cells, areas, new.cells, count) for a in (history.F, history.state))
+            F, state = (cloud.fields.pop(name)[new.cells].mean(axis=1) for name in ("F", "state"))
         return cloud, new, History(F, state, cloud.region[new.cells[:, 0]])
 
     def resume(self) -> None:
