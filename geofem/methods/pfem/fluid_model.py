@@ -180,24 +180,34 @@ class FluidModel:
             probe, self.cloud, self.mesh.cells, self.t, -self.cloud.p[:, None] * np.array([1.0, 1, 1, 0, 0, 0])
         )
 
+    def _taken(self) -> dict[str, float]:
+        """Kinetic energy (J) that each kind of change between the steps took: inelastic impacts, and nodes made anew."""
+        return {kind: -self.flow.density * self.budget.of[kind].kinetic for kind in self.budget.of if kind != "lagrangian"}
+
     def energy(self) -> dict[str, float]:
-        """Kinetic energy; ``internal``: heat of viscosity and the stabilisation, and that of the surface; ``external``: work of gravity."""
+        """Kinetic energy; ``internal``: heat of viscosity, of the stabilisation and of impacts, and the energy of the surface;
+        ``external``: work of gravity and of what moves."""
         kinetic = self.flow.density * answers.kinetic(self.cloud, self.mesh.cells)
-        heat, work = self._energy["internal"], self._energy["external"]
+        heat, work = self._energy["internal"] + sum(self._taken().values()), self._energy["external"]
         surface = answers.surface(self.cloud.x, self.mesh.facets) if self.flow.tension else 0.0
         return {"kinetic": kinetic, "internal": heat + self.flow.tension * surface, "external": work}
 
     def checks(self) -> dict[str, float | None]:
-        """Relative drifts: ``volume`` of the mesh and of what flies, the largest so far; ``momentum`` less all impulses."""
+        """Relative drifts: ``volume`` of the mesh and of what flies, the largest so far; ``momentum`` less all impulses.
+
+        ``volume_`` and ``energy_`` with a kind of change: what it made in volume, and took of the energy that was put in.
+        """
         now = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)
+        put_in = self.flow.density * self.start.kinetic + abs(self._energy["external"])
         drift = now.volume / self.start.volume - 1.0
         lost = self.flow.density * (now.momentum - self.start.momentum) - self.impulse
         for kind in ("wall", "resample"):
             # what obstacles took when nodes were put on them, and from nodes that were made anew on them
             lost -= self.flow.density * self.budget.of[kind].momentum
         momentum = float(np.linalg.norm(lost)) / self._pushed if self._pushed > 0 and self.scheme.element == "p1p1" else None
-        return {"mass": drift, "momentum": momentum, "volume": self._worst,
-                **{f"volume_{kind}": amount.volume / self.start.volume for kind, amount in self.budget.of.items()}}  # fmt: skip
+        made = {f"volume_{kind}": amount.volume / self.start.volume for kind, amount in self.budget.of.items()}
+        taken = {f"energy_{kind}": energy / put_in for kind, energy in self._taken().items()} if put_in > 0 else {}
+        return {"mass": drift, "momentum": momentum, "volume": self._worst, **made, **taken}
 
     def size(self) -> dict[str, int]:
         return {"dofs": (self.scene.gdim + 1) * self.cloud.n, "cells": len(self.mesh.cells), "points": self.cloud.n}
