@@ -57,6 +57,7 @@ Q2_REDUCED = {"order": 2, "cell": "quadrilateral", "quadrature": "reduced"}
 CONTIGUOUS = {"kernel": "contiguous"}
 QUARTER, NO_QUARTER = {"order": 2, "quarter_point": True}, {"order": 2, "quarter_point": False}
 UNIFORM = {"grading": 1.0}
+CLASSICAL = {"tessellation": "alpha", "walls": "fixed", "configuration": "end"}
 MIXED = {"order": 2, "cell": "triangle", "formulation": "mixed"}
 
 
@@ -88,6 +89,10 @@ def kernels(scene: str, values: Sequence[int], **scene_knobs: Any) -> list[Ladde
 def xfem(scene: str, enrichment: str, values: Sequence[int], **scene_knobs: Any) -> Ladder:
     knobs = {"enrichment": enrichment}
     return Ladder(scene, "xfem", f"XFEM {enrichment}", values, scene_knobs=scene_knobs, method_knobs=knobs)
+
+
+def pfem(scene: str, label: str, values: Sequence[int], knobs: Mapping[str, Any] = no_knobs(), **scene_knobs: Any) -> Ladder:
+    return Ladder(scene, "pfem", f"PFEM {label}".strip(), values, scene_knobs=scene_knobs, method_knobs=knobs)
 
 
 def cracked(scene: str, **scene_knobs: Any) -> list[Ladder]:
@@ -138,6 +143,22 @@ LADDERS: dict[str, list[Ladder]] = {
         fem("footing", "P1", P1, (2, 4, 8)),
         fem("footing", "P2", P2, (2, 4, 8)),
         fem("footing", "Q2 reduced", Q2_REDUCED, (2, 4, 8)),
+        pfem("footing", "nodal", (4, 8, 16)),
+        pfem("footing", "points, cured", (4, 8), {"state": "points", "cured": True}),
+        pfem("footing", "points, not cured", (4, 8), {"state": "points", "cured": False}),
+    ],
+    "wedge": [
+        points("wedge", "mpm-cpdi", (4, 6), {"solver": "implicit", "ppc": 3, "cure": "cell", "load_steps": 60}),
+        pfem("wedge", "nodal", (5, 8, 12)),
+        pfem("wedge", "points", (5, 8), {"state": "points"}),
+    ],
+    "sloshing": [
+        pfem("sloshing", "", (10, 20, 40)),
+        pfem("sloshing", "backward Euler, end", (10, 20, 40), {"theta": 1.0, "configuration": "end"}),
+        points("sloshing", "mpm-gimp", (10, 20)),
+    ],
+    "square_drop": [
+        pfem("square_drop", "", (4, 8, 16), shape="disc"),
     ],
     "slope": [
         fem("slope", "P2", P2, (2, 4, 8), case="ex1"),
@@ -161,18 +182,22 @@ LADDERS: dict[str, list[Ladder]] = {
         points("column_collapse", "mpm-cpdi", (5, 10, 20), {"flip": 0.998, "split": 1.0}, a=1.0),
         points("column_collapse", "mpm-bspline", (5, 10, 20), {"flip": 0.998}, a=1.0),
         points("column_collapse", "mpm-gimp", (5, 10, 20), {"transfer": "apic"}, a=1.0),
+        pfem("column_collapse", "nodal", (5, 10, 20), a=1.0),
     ],
     "dam_break": [
         points("dam_break", "mpm-linear", (5, 10, 20)),
         points("dam_break", "mpm-gimp", (5, 10, 20)),
         points("dam_break", "mpm-cpdi", (5, 10, 20), {"split": 1.0}),
         points("dam_break", "mpm-bspline", (5, 10, 20)),
+        pfem("dam_break", "", (5, 10, 20)),
+        pfem("dam_break", "classical", (5, 10, 20), CLASSICAL),
     ],
     "slope_runout": [
         points("slope_runout", "mpm-gimp", (6, 8, 12)),
         points("slope_runout", "mpm-gimp", (6, 8, 12), {"cure": "cell"}),
         points("slope_runout", "mpm-cpdi", (6, 8, 12), {"cure": "cell", "split": 1.0}),
         points("slope_runout", "mpm-bspline", (6, 8, 12), {"cure": "cell"}),
+        pfem("slope_runout", "nodal", (6, 8, 12)),
     ],
     "williams": [
         fem("williams", "quarter points", QUARTER, (4, 8, 16, 32)),

@@ -30,7 +30,7 @@ CHOICES = {
              "volume made by the boundary search, slivers"),
     "mpm": ("MPM", "put back where it was", "material points", "grid functions × point domain",
             "cell crossing, fracture, null space"),
-    "xfem": ("XFEM", "fixed or carried", "quadrature points of the cut parts", "Lagrange + Heaviside + tip modes",
+    "xfem": ("XFEM", "fixed", "quadrature points of the cut parts", "Lagrange + Heaviside + tip modes",
              "conditioning of small cuts"),
     "efg": ("EFG", "none: background cells", "quadrature points", "moving least squares", "cost, boundary conditions"),
     "sph": ("SPH", "none", "particles", "kernel sums", "noise, tensile instability"),
