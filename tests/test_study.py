@@ -20,7 +20,8 @@ from geofem.scene import Scene
 from geofem.scenes import cook
 from geofem.study import chart, recommend, rows, stability, sweep
 from geofem.study.ladders import LADDERS, SAMPLE, Ladder, default_ladders
-from geofem.study.maps import MAPS, Map, Scale, Variant
+from geofem.study.map import Map, Scale, Variant
+from geofem.study.maps import MAPS
 
 STAND_IN = """
 import json, os, signal, sys, time

@@ -1,87 +1,13 @@
-"""The maps of ``geofem stability``, as data: a new one is an entry here."""
+"""The maps of ``geofem stability``, as data: a new one is an entry here, or of the particle finite element method in ``maps_pfem``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from geofem.study.ladders import MIXED, P1, P2, P3, Q1, Q2, Q2_REDUCED, no_knobs
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One row of a map: a method with its knobs."""
-
-    label: str
-    method: str
-    knobs: Mapping[str, Any] = field(default_factory=no_knobs)
-
-
-@dataclass(frozen=True)
-class Scale:
-    """The scale of an axis: ``log`` or ``linear``."""
-
-    name: str = "log"
-
-    def middle(self, a: float, b: float) -> float:
-        """The middle between a and b on this scale."""
-        return float(np.sqrt(a * b)) if self.name == "log" else 0.5 * (a + b)
-
-    def way(self, a: float, b: float) -> float:
-        """How far it is from a to b on this scale."""
-        return float(np.log(b / a)) if self.name == "log" else b - a
-
-    def spread(self, a: float, b: float, count: int) -> list[float]:
-        """``count`` values from a to b."""
-        return (np.geomspace if self.name == "log" else np.linspace)(a, b, count).tolist()
-
-
-@dataclass(frozen=True)
-class Map:
-    """What is varied and what counts as failure.
-
-    knob : the scene's or method's knob along the axis; ``value`` makes it of the axis' x, or a mapping of several knobs; ``axis``
-        names x with its unit. percent : whether the error is told in percent.
-    safe, harsh : the ends of the axis, where methods are expected to work and to fail. scale : of the axis.
-    threshold : relative error of ``measure`` from which a run counts as failed. quantity : what the error is called in the picture.
-    reference : a variant to measure against where the scene has no reference for all x; None for the scene's own.
-    cases : knobs of the runs at each x, the worst of which counts.
-    along : the name in a result's ``at`` of the axis itself, where each run goes along it from the safe end to x: the place
-        where the first broken run ended is the boundary.
-    analysis : ``package.module:function`` that is called with the method's name and the knobs, in place of a run, and answers
-        with the measures' errors; ``scene`` is then only a name.
-    coarse : runs of the coarse row. bisections : runs that narrow the boundary after it.
-    """
-
-    name: str
-    title: str
-    scene: str
-    measure: str
-    variants: Sequence[Variant]
-    knob: str
-    axis: str
-    safe: float
-    harsh: float
-    threshold: float
-    value: Callable[[float], Any] = float
-    scene_knobs: Mapping[str, Any] = field(default_factory=no_knobs)
-    reference: Variant | None = None
-    scale: Scale = Scale()
-    cases: Sequence[Mapping[str, Any]] = ({},)
-    along: str = ""
-    analysis: str = ""
-    quantity: str = "relative error"
-    percent: bool = True
-    coarse: int = 5
-    bisections: int = 4
-
-    def knobs(self, x: float) -> dict[str, Any]:
-        """The knobs that x stands for."""
-        value = self.value(x)
-        return dict(value) if isinstance(value, Mapping) else {self.knob: value}
+from geofem.study.ladders import MIXED, P1, P2, P3, Q1, Q2, Q2_REDUCED
+from geofem.study.map import LINEAR, Map, Variant
+from geofem.study.maps_pfem import PFEM
 
 
 def fem(label: str, knobs: Mapping[str, Any], n: int = 16) -> Variant:
@@ -107,11 +33,6 @@ def cells_along(x: float) -> dict[str, int]:
     return {"n": round(x), "strip": round(x)}
 
 
-LINEAR = Scale("linear")
-CLASSICAL = {"tessellation": "alpha", "configuration": "end", "theta": 1.0}
-"""The particle finite element method as it was first written."""
-LONG = {"dt": 0.05}
-"""Steps (s) that nothing but the Courant number limits."""
 BAR = {"n": 8, "scheme": "usl"}
 
 
@@ -222,66 +143,7 @@ MAPS = {
             coarse=7,
             bisections=4,
         ),
-        Map(
-            name="alpha",
-            title="Volume that a boundary search makes: dam break after Koshizuka and Oka, until the far wall",
-            scene="dam_break",
-            measure="volume",
-            quantity="largest drift of the volume",
-            variants=(
-                *(
-                    Variant(f"alpha shape, {walls} walls, n = {n}", "pfem", {**CLASSICAL, "walls": walls, "n": n})
-                    for walls, n in (("fixed", 6), ("fixed", 10), ("slide", 10))
-                ),
-                Variant("boundary kept, n = 10", "pfem", {"n": 10}),
-            ),
-            knob="alpha",
-            axis="alpha: largest circumscribed circle of a cell over the spacing",
-            scale=LINEAR,
-            scene_knobs={"setup": "koshizuka"},
-            safe=1.1,
-            harsh=1.7,
-            threshold=0.005,
-            coarse=5,
-            bisections=0,
-        ),
-        Map(
-            name="courant",
-            title="Length of a step: dam break after Koshizuka and Oka, until the far wall, 8 cells across",
-            scene="dam_break",
-            measure="front",
-            quantity="error of the front",
-            variants=(
-                Variant("theta = 1/2, middle of the step", "pfem", {**LONG, "n": 8}),
-                Variant("theta = 1, end of the step", "pfem", {**LONG, "n": 8, "theta": 1.0, "configuration": "end"}),
-            ),
-            knob="cfl",
-            axis="spacings that a node goes in a step",
-            scene_knobs={"setup": "koshizuka"},
-            safe=0.1,
-            harsh=4.0,
-            threshold=0.1,
-            coarse=5,
-            bisections=2,
-        ),
-        Map(
-            name="transfer",
-            title="History of cells: a bell carried round by a vortex, its nodes tessellated anew in each step",
-            scene="vortex of nodes",
-            measure="peak",
-            quantity="part of the peak that is lost",
-            variants=tuple(
-                Variant(f"{way}, n = {n}", "pfem", {"way": way, "n": n}) for way in ("copied", "averaged") for n in (20, 40)
-            ),
-            knob="turns",
-            axis="turns of the vortex",
-            safe=0.005,
-            harsh=2.0,
-            threshold=0.2,
-            analysis="geofem.methods.pfem.vortex:turned",
-            coarse=6,
-            bisections=3,
-        ),
+        *PFEM,
         Map(
             name="conditioning",
             title="Small cuts: a crack along a row of nodes, 20 x 20 cells",

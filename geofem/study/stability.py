@@ -20,7 +20,8 @@ from tqdm import tqdm
 
 from geofem.mistake import Mistake, unknown
 from geofem.study import chart, rows, sweep
-from geofem.study.maps import MAPS, Map, Variant
+from geofem.study.map import Map, Variant
+from geofem.study.maps import MAPS
 from geofem.study.rows import Row
 
 

@@ -100,13 +100,13 @@ def surface(x: Array, facets: Array) -> float:
 
 
 def snapshot(cloud: Cloud, cells: Array, obstacles: Contact) -> dict[str, Any]:
-    """Nodes and cells for pictures, and the outlines of rigid bodies."""
+    """Nodes and cells for pictures, what flies, and the outlines of rigid bodies."""
     n, gdim = cloud.x.shape
     points = np.zeros((n, 3))
     points[:, :gdim] = cloud.x
     out: dict[str, Any] = {
         "points": points, "cells": cells, "cell": "triangle" if gdim == 2 else "tetra", "displacement": cloud.x - cloud.X,
-        "velocity": cloud.v, "pressure": cloud.p,
+        "velocity": cloud.v, "pressure": cloud.p, "carried": cloud.carried,
     }  # fmt: skip
     if obstacles.rigids:
         gap = np.full((1, 2), np.nan)
