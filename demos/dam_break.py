@@ -49,7 +49,8 @@ def falls(n: int, setup: str) -> dict[str, geofem.Result]:
 
 
 # %% [markdown]
-# The gate takes time to open, and every code runs ahead of the record: fronts are compared after one shift of time.
+# The gate takes time to open, and every code runs ahead of the record: fronts are compared after one shift of time. The classical way
+# may meet the front as well, or better: water that sticks to its walls is slower, as water with friction is. Look at the volume.
 
 
 # %%

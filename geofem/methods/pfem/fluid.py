@@ -24,7 +24,9 @@ from geofem.mistake import Mistake, unknown
 from geofem.scene import Scene
 
 BACKENDS = ("auto", "native", "compas", "qhull")
-FLUIDS = {"newtonian", "bingham", "mu_i"}
+TOLERANCES = {"newtonian": 1e-6, "bingham": 1e-4, "mu_i": 1e-3}
+"""Change of the velocity in the last iteration, by the largest one: where the viscosity depends on the flow, convergence is slow."""
+FLUIDS = set(TOLERANCES)
 STEPS = 100
 """At least so many steps a run and a period."""
 
@@ -65,7 +67,7 @@ def build_fluid(
         theta = 0.5 if tessellation == "constrained" else 1.0
     stabilisation = 1.0 if stabilisation is None else stabilisation
     if tolerance is None:
-        tolerance = 1e-6 if scene.regions[0].material.law == "newtonian" else 1e-3
+        tolerance = TOLERANCES[scene.regions[0].material.law]
     longest = scene.t_end / STEPS if dt is None else dt
     if dt is None and scene.period:
         longest = min(longest, scene.period / STEPS)
