@@ -23,6 +23,10 @@ from geofem.scene import Array
 log = logging.getLogger("geofem")
 
 SOURCE = Path(__file__).with_name("tessellate.cpp")
+TIE = 1e-9
+"""Largest weight in Qhull's triangulations, by the size of the cloud squared: it decides between equals only."""
+STEEP = 1e-7
+"""Facets of the hull that are steeper are those of its rim, not cells: their circles would be a million times the cloud."""
 FLAGS = ("-O2", "-DNDEBUG", "-frounding-math", "-std=c++17", "-shared", "-fPIC")
 LIBRARIES = ("-lgmp", "-lmpfr")
 
@@ -121,12 +125,24 @@ def by_compas(x: Array) -> Array:
 
 
 def by_qhull(x: Array) -> Array:
-    from scipy.spatial import Delaunay, QhullError
+    """The lower hull of the nodes lifted to a paraboloid (Edelsbrunner and Seidel 1986), off it by the least of weights.
 
+    Where more than gdim + 1 nodes lie on a sphere Qhull splits what they span facet by facet, with diagonals that do not meet or
+    flat cells among them; with weights the nodes are in general position, and no cell of a regular triangulation is flat.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    gdim = x.shape[1]
+    y = x - x.mean(axis=0)
+    span = float(np.abs(y).max(initial=0.0)) or 1.0
+    y /= span
+    # at random: weights in arithmetic progression would balance each other on a lattice
+    weight = TIE * np.random.default_rng(0).random(len(x))
     try:
-        cells = Delaunay(x).simplices.astype(np.int64)
-    except QhullError:  # all nodes on one line or plane
-        return np.empty((0, x.shape[1] + 1), np.int64)
+        hull = ConvexHull(np.column_stack([y, (y**2).sum(axis=1) + weight]))
+    except (QhullError, ValueError):  # all nodes on one line or plane, or too few
+        return np.empty((0, gdim + 1), np.int64)
+    cells = hull.simplices[hull.equations[:, gdim] < -STEEP].astype(np.int64)
     turned = simplices.volumes(x, cells) < 0
     cells[turned, -2:] = cells[turned, :-3:-1]
     return cells
