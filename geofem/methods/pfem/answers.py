@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geofem.core.sampling import quantile
-from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.budget import Amount, Budget, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.mistake import Mistake
@@ -43,25 +43,19 @@ class Places:
             return float(weights @ field[place])
         return float(field[np.argmin(np.linalg.norm(cloud.X - np.array(at), axis=1))])
 
-    def probe(self, probe: Probe, cloud: Cloud, cells: Array, t: float, stress: Array) -> float:
-        """The value of a probe, but for reactions; stress (n, 6) at the nodes (Pa)."""
+    def probe(self, probe: Probe, cloud: Cloud, weight: Array, t: float, stress: Array) -> float:
+        """The value of a probe that fluids and solids have; weight (n,): masses or volumes, stress (n, 6) at the nodes (Pa)."""
         c = probe.component
         if probe.quantity == "largest_speed":
             return float(np.linalg.norm(cloud.v, axis=1).max())
-        if probe.quantity == "volume":
-            return float(lumped(cloud, cells).sum())
-        if probe.quantity in ("quantile", "mean_velocity", "displacement_error", "pressure_error"):
-            volume = lumped(cloud, cells)
-            if probe.quantity == "quantile":
-                return quantile(cloud.x[:, c], volume, probe.share)
-            if probe.quantity == "mean_velocity":
-                return float(volume @ cloud.v[:, c] / volume.sum())
+        if probe.quantity == "quantile":
+            return quantile(cloud.x[:, c], weight, probe.share)
+        if probe.quantity == "mean_velocity":
+            return float(weight @ cloud.v[:, c] / weight.sum())
+        if probe.quantity == "displacement_error":
             assert probe.exact is not None
-            if probe.quantity == "pressure_error":
-                error = (cloud.p - probe.exact(cloud.x.T, t)) ** 2
-            else:
-                error = np.sum((cloud.x - cloud.X - probe.exact(cloud.X.T, t).T) ** 2, axis=1)
-            return math.sqrt(volume @ error / volume.sum())
+            error = np.sum((cloud.x - cloud.X - probe.exact(cloud.X.T, t).T) ** 2, axis=1)
+            return math.sqrt(weight @ error / weight.sum())
         assert probe.at is not None
         fields = {"displacement": cloud.x - cloud.X, "velocity": cloud.v, "stress": stress}
         return self.value(probe.at, cloud, fields[probe.quantity][:, c])
@@ -99,18 +93,17 @@ def surface(x: Array, facets: Array) -> float:
     return 0.5 * float(np.linalg.norm(np.cross(a, x[facets[:, 2]] - x[facets[:, 0]]), axis=1).sum())
 
 
-def snapshot(cloud: Cloud, cells: Array, obstacles: Contact) -> dict[str, Any]:
-    """Nodes and cells for pictures, what flies, and the outlines of rigid bodies."""
+def snapshot(cloud: Cloud, cells: Array, outlines: list[Array]) -> dict[str, Any]:
+    """Nodes and cells for pictures, and the outlines (k, 2) of rigid bodies."""
     n, gdim = cloud.x.shape
     points = np.zeros((n, 3))
     points[:, :gdim] = cloud.x
     out: dict[str, Any] = {
         "points": points, "cells": cells, "cell": "triangle" if gdim == 2 else "tetra", "displacement": cloud.x - cloud.X,
-        "velocity": cloud.v, "pressure": cloud.p, "carried": cloud.carried,
+        "velocity": cloud.v,
     }  # fmt: skip
-    if obstacles.rigids:
+    if outlines:
         gap = np.full((1, 2), np.nan)
-        outlines = [rigid.corners + rigid.shift for rigid in obstacles.rigids]
         out["rigid"] = np.concatenate([part for o in outlines for part in (o, o[:1], gap)][:-1])
     return out
 
@@ -125,7 +118,7 @@ def cloud_state(cloud: Cloud) -> dict[str, Array]:
 def restore_cloud(cloud: Cloud, state: dict[str, Array]) -> None:
     for name in Cloud.NAMES:
         setattr(cloud, name, state[f"cloud_{name}"].copy())
-    cloud.fields = {name: state[f"field_{name}"].copy() for name in cloud.fields}
+    cloud.fields = {name.removeprefix("field_"): values.copy() for name, values in state.items() if name.startswith("field_")}
     cloud.next_id = int(state["next_id"])
 
 

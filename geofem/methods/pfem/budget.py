@@ -14,9 +14,14 @@ from geofem.scene import Array
 KINDS = ("lagrangian", "wall", "resample", "merge", "separate", "restore")
 
 
+def node_volumes(x: Array, cells: Array) -> Array:
+    """The share (n,) that each of the nodes x (n, gdim) has in its cells (m2 or m3)."""
+    return shares(volumes(x, cells) / cells.shape[1], cells, np.zeros(len(x)))
+
+
 def lumped(cloud: Cloud, cells: Array) -> Array:
     """Volume (n,) of each node: its share of its cells, or what it carries when it flies."""
-    return shares(volumes(cloud.x, cells) / cells.shape[1], cells, cloud.carried.copy())
+    return node_volumes(cloud.x, cells) + cloud.carried
 
 
 @njit(cache=True, error_model="numpy")

@@ -112,6 +112,17 @@ class Plane:
         return x
 
 
+def planes_of(scene: Scene, cloud: Cloud) -> list[Plane]:
+    """The walls of a scene, looked for around its nodes and in its room."""
+    low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
+    if scene.room is not None:
+        low, high = np.minimum(low, scene.room.low), np.maximum(high, scene.room.high)
+    planes = [Plane(wall, low, high) for wall in scene.walls]
+    for plane in planes:
+        plane.meet(cloud)
+    return planes
+
+
 class Convex:
     """A rigid body: a convex polygon that moves."""
 
@@ -160,12 +171,7 @@ class Obstacles:
     """
 
     def __init__(self, scene: Scene, cloud: Cloud):
-        low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
-        if scene.room is not None:
-            low, high = np.minimum(low, scene.room.low), np.maximum(high, scene.room.high)
-        self.planes = [Plane(wall, low, high) for wall in scene.walls]
-        for plane in self.planes:
-            plane.meet(cloud)
+        self.planes = planes_of(scene, cloud)
         self.rigids = [Convex(rigid) for rigid in scene.rigids]
         self.solids: list[Any] = [*self.planes, *self.rigids]
         self.supports = [(s.name, s.where, c) for s in scene.supports if s.value is None for c in s.components]

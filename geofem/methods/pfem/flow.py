@@ -8,7 +8,7 @@ import numpy as np
 from mpi4py import MPI
 
 from geofem import materials
-from geofem.methods.pfem.budget import volumes
+from geofem.methods.pfem.budget import node_volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.fluid_forms import FlowForms, flow_forms
@@ -174,12 +174,6 @@ class Ties:
         """Force of springs and friction on the nodes (n, gdim) (N)."""
         spring, pull = self.now
         return pull - np.einsum("nij,nj->ni", spring, u)
-
-
-def node_volumes(x: Array, cells: Array) -> Array:
-    """A share of the volume of its cells for each node, (n,)."""
-    share = np.repeat(volumes(x, cells) / cells.shape[1], cells.shape[1])
-    return np.bincount(cells.ravel(), share, len(x))
 
 
 def surface_force(x: Array, facets: Array, tension: float) -> Array:

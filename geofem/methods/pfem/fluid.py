@@ -15,7 +15,7 @@ from geofem.methods.pfem.fluid_forms import ELEMENTS
 from geofem.methods.pfem.fluid_model import FluidModel
 from geofem.methods.pfem.particles import WallParticles, beside_walls
 from geofem.methods.pfem.surface import Rules
-from geofem.methods.pfem.tessellation import Tessellation, Tessellator, simplices
+from geofem.methods.pfem.tessellation import Tessellation, Tessellator, backends, simplices
 from geofem.methods.pfem.tessellation.alpha import AlphaShape
 from geofem.methods.pfem.tessellation.common import finished
 from geofem.methods.pfem.tessellation.constrained import Constrained
@@ -23,7 +23,6 @@ from geofem.methods.pfem.tessellation.inside import InsideBody
 from geofem.mistake import Mistake, unknown
 from geofem.scene import Scene
 
-BACKENDS = ("auto", "native", "compas", "qhull")
 TOLERANCES = {"newtonian": 1e-6, "bingham": 1e-4, "mu_i": 1e-3}
 """Change of the velocity in the last iteration, by the largest one: where the viscosity depends on the flow, convergence is slow."""
 FLUIDS = set(TOLERANCES)
@@ -51,7 +50,6 @@ def build_fluid(
     """See ``Pfem.build``."""
     choices = (
         ("tessellation", tessellation, ("constrained", "alpha")),
-        ("backend", backend, BACKENDS),
         ("configuration", configuration, tuple(CONFIGURATIONS)),
         ("element", element, ELEMENTS),
         ("walls", walls, ("slide", "fixed")),
@@ -86,21 +84,19 @@ def build_fluid(
     maker: Tessellator = AlphaShape(alpha, backend=backend)
     if tessellation == "constrained":
         maker = Constrained(alpha, backend=backend) if scene.gdim == 2 else InsideBody(alpha, backend=backend)
-    elif scene.gdim == 3 and backend == "compas":
-        raise Mistake("knob backend = 'compas': is for the plane; choose native or qhull")
     comm = MPI.COMM_WORLD
-    cloud, mesh = comm.bcast(on_root(comm, lambda: first(scene, n, size, jitter, maker)))
-    obstacles: Contact = Obstacles(scene, cloud)
+    cloud, mesh = comm.bcast(on_root(comm, lambda: first(scene, n, size, jitter, maker, backend)))
+    obstacles: Contact = Obstacles(scene, cloud) if walls == "slide" else WallParticles(scene, cloud)
     if walls == "fixed":
-        obstacles = WallParticles(scene, cloud)
         mesh = comm.bcast(on_root(comm, lambda: beside_walls(maker(cloud.x, cloud.size, None), cloud)))
     rules = Rules(boundary=tessellation == "constrained" and scene.gdim == 2)
     scheme = Scheme(theta, configuration, element, stabilisation, tolerance, compressible)
     return FluidModel(scene, cloud, mesh, maker, scheme, rules, cfl, longest, obstacles)
 
 
-def first(scene: Scene, n: int, size: float, jitter: float, maker: Tessellator) -> tuple[Cloud, Tessellation]:
+def first(scene: Scene, n: int, size: float, jitter: float, maker: Tessellator, backend: str) -> tuple[Cloud, Tessellation]:
     """The first nodes and cells; cells are made anew around nodes that were shifted."""
+    backends.method(backend, scene.gdim)  # raises now, not when the mesh is made anew
     made = meshes.serial(scene, n, "triangle" if scene.gdim == 2 else "tetrahedron", 1.0)
     points, cells = made.points[:, : scene.gdim], made.cells.astype(np.int64)
     turned = simplices.volumes(points, cells) < 0

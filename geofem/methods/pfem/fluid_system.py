@@ -74,6 +74,7 @@ class FluidSystem:
             start = bs * np.arange(len(node))
             self.velocity_dofs = start[:, None] + np.arange(gdim)
             self.pressure_dofs = start + gdim
+            self.scalar_nodes = np.arange(len(node))
         else:
             velocity, pressure = space.sub(0).dofmap.list, space.sub(1).dofmap.list
             node = np.arange(self.mesh.geometry.x.shape[0])
@@ -82,16 +83,12 @@ class FluidSystem:
             corners = gdim + 1
             self.velocity_dofs[geometry] = velocity[:, : corners * gdim].reshape(-1, corners, gdim)
             self.pressure_dofs[geometry] = pressure
+            self.scalar_nodes = np.empty(len(node), np.int64)
+            self.scalar_nodes[geometry] = fem.functionspace(self.mesh, ("Lagrange", 1)).dofmap.list
         self.geometry_nodes = node
         self.nodes = at[node]
         """The node of the cloud of each local node, ghosts included."""
         self.own = self.pressure_dofs < self.owned_dofs
-        first = fem.functionspace(self.mesh, ("Lagrange", 1)) if space.num_sub_spaces != gdim + 1 else None
-        if first is None:
-            self.scalar_nodes = np.arange(len(node))
-        else:
-            self.scalar_nodes = np.empty(len(node), np.int64)
-            self.scalar_nodes[geometry.ravel()] = first.dofmap.list.ravel()
 
     # --- what goes in and out -------------------------------------------------------------------------------------
     def set_start(self, x: Array, v: Array, p: Array, theta: float) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from geofem.methods.pfem.budget import Amount, Budget
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Convex, Obstacles, Plane, Touch
+from geofem.methods.pfem.contact import Convex, Plane, Touch, planes_of
 from geofem.methods.pfem.tessellation import Tessellation
 from geofem.methods.pfem.tessellation.common import finished
 from geofem.mistake import Mistake
@@ -22,10 +22,9 @@ class WallParticles:
     def __init__(self, scene: Scene, cloud: Cloud):
         if scene.gdim != 2 or scene.rigids or scene.supports or scene.room is None:
             raise Mistake(f"knob walls = 'fixed': scene {scene.name} must have walls only, in the plane, and a room; use slide")
-        self.planes = Obstacles(scene, cloud).planes
+        self.planes = planes_of(scene, cloud)
         self.rigids: list[Convex] = []
         self.names = [plane.name for plane in self.planes]
-        del cloud.fields["held"]
         near = np.zeros(cloud.n, bool)
         rows = []
         for plane in self.planes:

@@ -9,10 +9,11 @@ import numpy as np
 from mpi4py import MPI
 
 from geofem.cost import phase
-from geofem.methods.pfem import solid_domains
+from geofem.methods.pfem import answers, solid_domains
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.solid_laws import Answer, History, Laws
 from geofem.methods.pfem.solid_system import System, gathered, share
+from geofem.methods.pfem.tessellation import simplices
 from geofem.mistake import Mistake
 from geofem.scene import Array, Scene
 
@@ -34,7 +35,7 @@ class Body:
         self.nodal, self.cured, self.stabilisation = state == "nodal", cured, stabilisation
         self.laws = Laws(scene)
         self.small = self.laws.small
-        self.cells, self.facets = cells, facets_of(cells)
+        self.cells, self.facets = cells, simplices.boundary(cells, simplices.neighbours(cells))
         at_rest = History.at_rest(cloud.region if self.nodal else cloud.region[cells[:, 0]])
         self.history = at_rest
         self._system: System | None = None
@@ -83,7 +84,7 @@ class Body:
 
     def volume(self) -> float:
         """Of all cells as they are now (m2)."""
-        return float(solid_domains.gradients(self.cloud.x, self.cells)[1].sum())
+        return float(simplices.volumes(self.cloud.x, self.cells).sum())
 
     def lumped(self) -> Array:
         """(n,) mass of the nodes (kg/m): a third of each cell around them, at the density of its region's start."""
@@ -168,17 +169,14 @@ class Body:
     # --- checkpoints ----------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
         """All that the body is."""
-        cloud, history = self.cloud, self.history
-        return {name: getattr(cloud, name) for name in Cloud.NAMES} | {
-            "next_id": np.array(cloud.next_id), "cells": self.cells, "facets": self.facets, "mass": self.mass,
+        history = self.history
+        return answers.cloud_state(self.cloud) | {
+            "cells": self.cells, "facets": self.facets, "mass": self.mass,
             "F": history.F, "state": history.state, "of": history.region,
-            **{f"field_{name}": values for name, values in cloud.fields.items()},
         }  # fmt: skip
 
     def restore(self, state: dict[str, Array]) -> None:
-        fields = {name.removeprefix("field_"): values for name, values in state.items() if name.startswith("field_")}
-        x, X, v, p, size, region, carried, id = (state[name] for name in Cloud.NAMES)
-        self.cloud = Cloud(x, X, v, p, size, region, carried, id, int(state["next_id"]), fields)
+        answers.restore_cloud(self.cloud, state)
         self._mass_region, self.mass = self.cloud.region, state["mass"]
         self.renew(state["cells"], state["facets"], History(state["F"], state["state"], state["of"]))
         self.mass = state["mass"]
@@ -206,15 +204,6 @@ def deviatoric(modulus: Array) -> Array:
     symmetric = np.array([[1.0, 0, 0, 0], [0, 0.5, 0.5, 0], [0, 0.5, 0.5, 0], [0, 0, 0, 1.0]])
     mean = 0.5 * np.outer([1.0, 0, 0, 1], [1.0, 0, 0, 1])
     return modulus[:, None, None] * (symmetric - mean)
-
-
-def facets_of(cells: Array) -> Array:
-    """The boundary (k, 2) of triangles (m, 3): sides that only one has, the body to their left, in order of the cells."""
-    sides = np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]])
-    key = np.sort(sides, axis=1)
-    code = key[:, 0] * (int(cells.max()) + 1) + key[:, 1]
-    _, first, count = np.unique(code, return_index=True, return_counts=True)
-    return sides[np.sort(first[count == 1])]
 
 
 def start(scene: Scene, points: Array, cells: Array, regions: Array, h: float) -> tuple[Cloud, Array]:

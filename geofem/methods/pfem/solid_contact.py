@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geofem.mistake import Mistake
+from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.contact import Convex, planes_of
 from geofem.scene import Array, Rigid, Scene, Wall
 
 STIFF = 10.0
@@ -45,41 +46,17 @@ class Obstacle:
         return np.einsum("kj,nkj->nk", self.normals, x[:, None] - (self.points + self.shift(t)))
 
 
-def obstacles(scene: Scene) -> list[Obstacle]:
+def obstacles(scene: Scene, cloud: Cloud) -> list[Obstacle]:
     """The walls and rigid bodies of a scene."""
     out = []
-    for wall in scene.walls:
-        normal = np.array(wall.normal, float)
-        out.append(Obstacle(wall.name, wall.friction, normal[None], plane_of(wall, scene)[None], wall))
+    for wall, plane in zip(scene.walls, planes_of(scene, cloud)):
+        point = np.zeros(2)
+        point[plane.axis] = plane.place
+        out.append(Obstacle(wall.name, wall.friction, plane.normal[None], point[None], wall))
     for rigid in scene.rigids:
-        p = np.array(rigid.shape.points)
-        side = np.roll(p, -1, axis=0) - p
-        normals = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.linalg.norm(side, axis=1)[:, None]
-        out.append(Obstacle(rigid.name, rigid.friction, normals, p, rigid))
+        convex = Convex(rigid)
+        out.append(Obstacle(rigid.name, rigid.friction, convex.normals, convex.corners, rigid))
     return out
-
-
-def plane_of(wall: Wall, scene: Scene) -> Array:
-    """A point (2,) of a wall's plane, found by halving: its predicate is true on the wall and beyond.
-
-    Raises ``Mistake`` if the wall is not met on the way out from the middle of any of the bodies.
-    """
-    axis, sign = int(np.argmax(np.abs(wall.normal))), float(sum(wall.normal))
-    boxes = np.array([region.shape.bounds for region in scene.regions if hasattr(region.shape, "bounds")])
-    size = float(np.ptp(boxes, axis=(0, 1)).max())
-    for low, high in boxes:
-        inside, beyond = 0.5 * (low + high), 0.5 * (low + high)
-        beyond[axis] -= sign * 4.0 * size
-        if wall.where(inside[:, None])[0] or not wall.where(beyond[:, None])[0]:
-            continue
-        for _ in range(80):
-            middle = 0.5 * (inside + beyond)
-            if wall.where(middle[:, None])[0]:
-                beyond = middle
-            else:
-                inside = middle
-        return np.round(beyond, 8)
-    raise Mistake(f"wall {wall.name}: is not met from the middle of any body along {wall.normal}; check where and normal")
 
 
 @dataclass

@@ -150,20 +150,28 @@ def averaged(
     return rows, nodes[:k].copy(), own[:k].copy(), bulk[:k].copy()
 
 
+@njit(**OPTIONS, inline="always")
+def gradient_of(
+    first: Array, node: Array, gradient: Array, bulk: Array, u: Array, d: int, start: float
+) -> tuple[float, float, float, float]:
+    """``start`` times the identity and the gradient of u (n, 2) over one domain: xx, xy, yx, yy."""
+    xx, xy, yx, yy = start, 0.0, 0.0, start
+    for s in range(first[d], first[d + 1]):
+        a = node[s]
+        ux, uy = u[a, 0], u[a, 1]
+        more = ux * bulk[s, 0] + uy * bulk[s, 1]
+        xx += ux * gradient[s, 0] + more
+        xy += ux * gradient[s, 1]
+        yx += uy * gradient[s, 0]
+        yy += uy * gradient[s, 1] + more
+    return xx, xy, yx, yy
+
+
 @njit(**OPTIONS)
 def strain(first: Array, node: Array, gradient: Array, bulk: Array, u: Array, lo: int, hi: int, out: Array) -> None:
     """Gradients of u (n, 2) over the domains lo to hi, into out (d, 4): xx, xy, yx, yy."""
     for d in range(lo, hi):
-        xx = xy = yx = yy = 0.0
-        for s in range(first[d], first[d + 1]):
-            a = node[s]
-            ux, uy = u[a, 0], u[a, 1]
-            more = ux * bulk[s, 0] + uy * bulk[s, 1]
-            xx += ux * gradient[s, 0] + more
-            xy += ux * gradient[s, 1]
-            yx += uy * gradient[s, 0]
-            yy += uy * gradient[s, 1] + more
-        out[d, 0], out[d, 1], out[d, 2], out[d, 3] = xx, xy, yx, yy
+        out[d, 0], out[d, 1], out[d, 2], out[d, 3] = gradient_of(first, node, gradient, bulk, u, d, 0.0)
 
 
 @njit(**OPTIONS)

@@ -37,7 +37,7 @@ class Dynamic:
         if velocity is not None:
             X = body.cloud.X
             body.cloud.v = np.broadcast_to(np.asarray(velocity(X.T), float).T, X.shape).copy()
-        self.obstacles = solid_contact.obstacles(self.scene)
+        self.obstacles = solid_contact.obstacles(self.scene, body.cloud)
         names = [*(s.name for s in self.scene.supports), *(o.name for o in self.obstacles)]
         self.reaction = {name: np.zeros(2) for name in names}
         self.iterations = self.points = 0

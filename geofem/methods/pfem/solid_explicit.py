@@ -9,8 +9,15 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from geofem.methods.pfem.solid_domains import OPTIONS
+from geofem.methods.pfem.solid_domains import OPTIONS, gradient_of
 from geofem.scene import Array
+
+
+@njit(**OPTIONS, inline="always")
+def compose(a: float, b: float, c: float, d: float, g: Array, out: Array) -> None:
+    """The gradient (a, b, c, d) of a step after the one before, g (5,), into out (5,)."""
+    out[0], out[1] = a * g[0] + b * g[2], a * g[1] + b * g[3]
+    out[2], out[3], out[4] = c * g[0] + d * g[2], c * g[1] + d * g[3], g[4]
 
 
 @cache
@@ -26,31 +33,11 @@ def make_update(point: Callable[..., Any]) -> Callable[..., Any]:
         for d in range(lo, hi):
             if region[d] != k:
                 continue
-            a, b, c, e = 1.0, 0.0, 0.0, 1.0
-            for s in range(first[d], first[d + 1]):
-                i = node[s]
-                ux, uy = u[i, 0], u[i, 1]
-                more = ux * bulk[s, 0] + uy * bulk[s, 1]
-                a += ux * gradient[s, 0] + more
-                b += ux * gradient[s, 1]
-                c += uy * gradient[s, 0]
-                e += uy * gradient[s, 1] + more
+            a, b, c, e = gradient_of(first, node, gradient, bulk, u, d, 1.0)
             g = Fn[d]
-            F[0], F[1], F[2], F[3], F[4] = (
-                a * g[0] + b * g[2],
-                a * g[1] + b * g[3],
-                c * g[0] + e * g[2],
-                c * g[1] + e * g[3],
-                g[4],
-            )
+            compose(a, b, c, e, g, F)
             p, q, r, t = f[d, 0], f[d, 1], f[d, 2], f[d, 3]
-            old[0], old[1], old[2], old[3], old[4] = (
-                p * g[0] + q * g[2],
-                p * g[1] + q * g[3],
-                r * g[0] + t * g[2],
-                r * g[1] + t * g[3],
-                g[4],
-            )
+            compose(p, q, r, t, g, old)
             for j in range(4):
                 new[j] = state[d, j]
             if point(F, old, state[d], par, dt, tau, new) < 0:

@@ -11,12 +11,12 @@ from geofem import materials
 from geofem.core import mesh as meshes
 from geofem.core import meshing
 from geofem.core.mpi import on_root
-from geofem.core.sampling import quantile
-from geofem.methods.pfem import solid_body
+from geofem.methods.pfem import answers, solid_body
 from geofem.methods.pfem.solid_body import STATES, Body
 from geofem.methods.pfem.solid_dynamic import Dynamic
 from geofem.methods.pfem.solid_remesh import TRANSFERS, Remesher
 from geofem.methods.pfem.solid_static import Static
+from geofem.methods.pfem.transfer import to_nodes
 from geofem.mistake import Mistake, unknown
 from geofem.scene import Array, Box, MeshFile, Probe, Scene
 
@@ -37,11 +37,7 @@ class SolidModel:
         self.t = 0.0
         self.comm = body.comm
         self.work = {"steps": 0, "newton": 0, "linear": 0, "point_steps": 0, "remeshes": 0}
-        self._places = {
-            p.at: self._around(p)
-            for p in scene.probes
-            if p.at is not None and p.quantity in ("displacement", "velocity", "stress")
-        }
+        self._places = answers.Places(scene, body.cloud, body.cells)
 
     def dt(self) -> float:
         return self.solver.dt
@@ -58,59 +54,20 @@ class SolidModel:
             self.work["remeshes"] = self.remesher.count
 
     # --- what the runner asks -------------------------------------------------------------------------------------------
-    def _around(self, probe: Probe) -> tuple[Array, Array, int]:
-        """The ids of the nodes of the cell that holds a reference position, their weights, and the cell."""
-        assert probe.at is not None
-        X, cells = self.body.cloud.X, self.body.cells
-        corner = X[cells]
-        edge = corner[:, 1:] - corner[:, :1]
-        inverse = np.linalg.inv(edge.transpose(0, 2, 1))
-        inner = np.einsum("cij,cj->ci", inverse, np.array(probe.at) - corner[:, 0])
-        weights = np.column_stack([1.0 - inner.sum(axis=1), inner])
-        cell = int(np.argmax(weights.min(axis=1)))
-        if weights[cell].min() < -1e-6:
-            raise Mistake(f"probe {probe.name!r}: the point {tuple(probe.at)} lies outside the mesh; give a point of the body")
-        return self.body.cloud.id[cells[cell]], weights[cell], cell
-
-    def _at(self, probe: Probe, field: Array) -> float:
-        """A nodal field (n,) at a probe's material point; of nodes that were removed those nearest in the reference answer."""
-        assert probe.at is not None
-        ids, weights, _ = self._places[probe.at]
-        cloud = self.body.cloud
-        place = {int(i): k for k, i in enumerate(cloud.id)}
-        if all(int(i) in place for i in ids):
-            return float(weights @ field[[place[int(i)] for i in ids]])
-        return float(field[np.argmin(np.linalg.norm(cloud.X - np.array(probe.at), axis=1))])
-
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
-        cloud, c = self.body.cloud, probe.component
         if probe.quantity == "reaction":
             assert probe.of is not None
-            return float(self.solver.reaction[probe.of][c])
-        if probe.quantity == "quantile":
-            return quantile(cloud.x[:, c], self.body.mass, probe.share)
-        if probe.quantity == "mean_velocity":
-            return float(self.body.mass @ cloud.v[:, c] / self.body.mass.sum())
-        if probe.quantity == "displacement_error":
-            assert probe.exact is not None
-            error = (cloud.x - cloud.X - probe.exact(cloud.X.T, self.t).T) ** 2
-            return float(np.sqrt(self.body.mass @ error.sum(axis=1) / self.body.mass.sum()))
-        if probe.quantity == "stress":
-            return self._at(probe, self._nodal_stress()[:, c]) if c < 4 else 0.0
-        return self._at(probe, (cloud.x - cloud.X if probe.quantity == "displacement" else cloud.v)[:, c])
+            return float(self.solver.reaction[probe.of][probe.component])
+        stress = np.pad(self._nodal_stress(), ((0, 0), (0, 2))) if probe.quantity == "stress" else np.empty((0, 6))
+        return self._places.probe(probe, self.body.cloud, self.body.mass, self.t, stress)
 
     def _nodal_stress(self) -> Array:
         """Cauchy stress at the nodes (n, 4); of history in triangles the mean around a node."""
         stress = self.body.laws.cauchy(self.body.history)
         if self.body.nodal:
             return stress
-        total, weight = np.zeros((self.body.cloud.n, 4)), np.zeros(self.body.cloud.n)
-        area = self.body.triangles.volume
-        for k in range(3):
-            np.add.at(total, self.body.cells[:, k], area[:, None] * stress)
-            np.add.at(weight, self.body.cells[:, k], area)
-        return total / np.maximum(weight, 1e-300)[:, None]
+        return to_nodes(stress, self.body.cells, self.body.triangles.volume, self.body.cloud.n)[0]
 
     def energy(self) -> dict[str, float]:
         v = self.body.cloud.v
@@ -135,18 +92,11 @@ class SolidModel:
         """See ``Model.snapshot``; on rank 0."""
         if self.comm.rank:
             return {}
-        cloud = self.body.cloud
-        out: dict[str, Any] = {
-            "points": np.column_stack([cloud.x, np.zeros(cloud.n)]), "cells": self.body.cells, "cell": "triangle",
-            "displacement": cloud.x - cloud.X, "velocity": cloud.v, "stress": self._nodal_stress(),
-        }  # fmt: skip
-        polygons = []
-        for rigid in self.scene.rigids:
-            p = np.array(rigid.shape.points) + (np.array(rigid.motion(self.t)) if rigid.motion else 0.0)
-            polygons += [p, p[:1], np.full((1, 2), np.nan)]
-        if polygons:
-            out["rigid"] = np.concatenate(polygons[:-1])
-        return out
+        outlines = [
+            np.array(rigid.shape.points) + (np.array(rigid.motion(self.t)) if rigid.motion else 0.0)
+            for rigid in self.scene.rigids
+        ]
+        return answers.snapshot(self.body.cloud, self.body.cells, outlines) | {"stress": self._nodal_stress()}
 
     # --- checkpoints ----------------------------------------------------------------------------------------------------
     def state(self) -> dict[str, Array]:
@@ -172,12 +122,6 @@ def refuses_solid(scene: Scene) -> str | None:
     """Why the solids of this scene are not for pfem, in a sentence; None if they are."""
     if scene.plane != "plane_strain":
         return "pfem has solids in plane strain only"
-    if any(load.kind not in ("gravity", "body") for load in scene.loads):
-        return "pfem takes no boundary traction on solids yet"
-    if any(isinstance(support.where, str) for support in scene.supports):
-        return "pfem needs supports as predicates of position, not as groups of a mesh file"
-    if scene.cracks or scene.growth:
-        return "pfem has no cracks"
     small = scene.strain == "small"
     for region in scene.regions:
         law = materials.LAWS[region.material.law]

@@ -68,12 +68,8 @@ class Remesher:
         if body.nodal:
             cloud.fields |= {"F": history.F, "state": history.state}
         elif self.transfer == "average":
-            weight = np.maximum(np.bincount(old.cells.ravel(), np.repeat(body.triangles.volume, 3), cloud.n), 1e-300)
             for name, values in (("F", history.F), ("state", history.state)):
-                sums = np.zeros((cloud.n, values.shape[1]))
-                for corner in old.cells.T:
-                    np.add.at(sums, corner, values * body.triangles.volume[:, None])
-                cloud.fields[name] = sums / weight[:, None]
+                cloud.fields[name] = transfer.to_nodes(values, old.cells, body.triangles.volume, cloud.n)[0]
         places = cloud.x[old.cells].mean(axis=1)
         new = resample.remesh(cloud, old, self.obstacles, self.tessellator, SOLID, self.budget, dt)
         if body.nodal:

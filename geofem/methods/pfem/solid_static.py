@@ -34,7 +34,7 @@ class Static:
         self.body, self.scene = body, body.scene
         self.dt = self.first = first
         self.tolerance = tolerance
-        self.obstacles = solid_contact.obstacles(body.scene)
+        self.obstacles = solid_contact.obstacles(body.scene, body.cloud)
         for k in range(len(self.obstacles)):
             body.cloud.fields[f"touch{k}"] = np.zeros((body.cloud.n, 3))
         scene = self.scene

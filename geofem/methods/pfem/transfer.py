@@ -26,21 +26,29 @@ def copied(values: Array, parents: Array, old_centroids: Array, centroids: Array
     return values[source]
 
 
+def to_nodes(values: Array, cells: Array, volumes: Array, nodes: int) -> tuple[Array, Array]:
+    """The mean (nodes, c), by volume, of the values (m, c) of the cells around each node, and which nodes have cells, (nodes,) bool.
+
+    Nodes that have none get zeros.
+    """
+    weights = np.bincount(cells.ravel(), np.repeat(volumes, cells.shape[1]), nodes)
+    sums = np.zeros((nodes, values.shape[1]))
+    for corner in cells.T:
+        np.add.at(sums, corner, values * volumes[:, None])
+    known = weights > 0.0
+    sums[known] /= weights[known, None]
+    return sums, known
+
+
 def averaged(values: Array, old_cells: Array, old_volumes: Array, cells: Array, nodes: int) -> Array:
     """Values (m, ...) of the new cells: the mean over their nodes of the mean over the old cells around each, by volume.
 
     values : (k, ...) of the old cells (k, gdim + 1), whose volumes are ``old_volumes`` (k,). A node that no old cell has does not count.
     nodes : their number. Raises ``ValueError`` if no node of a new cell was in an old one.
     """
-    flat = values.reshape(len(values), -1)
-    sums, weights = np.zeros((nodes, flat.shape[1])), np.zeros(nodes)
-    for corner in old_cells.T:
-        np.add.at(sums, corner, flat * old_volumes[:, None])
-        np.add.at(weights, corner, old_volumes)
-    known = weights > 0.0
-    sums[known] /= weights[known, None]
+    means, known = to_nodes(values.reshape(len(values), -1), old_cells, old_volumes, nodes)
     count = known[cells].sum(axis=1)
     if np.any(count == 0):
         raise ValueError("a new cell has no node in common with the old ones")
-    mean = sums[cells].sum(axis=1) / count[:, None]
+    mean = means[cells].sum(axis=1) / count[:, None]
     return mean.reshape(len(cells), *values.shape[1:])

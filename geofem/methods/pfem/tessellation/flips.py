@@ -70,6 +70,15 @@ def place(cells: Array, c: int, node: int) -> int:
     return 1 if cells[c, 1] == node else 2
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def opposite(cells: Array, c: int, p: int, q: int) -> int:
+    """The local number of the node of a triangle that is neither p nor q."""
+    j = 0
+    while cells[c, j] == p or cells[c, j] == q:
+        j += 1
+    return j
+
+
 @njit(cache=True, error_model="numpy")
 def facet_of(cells: Array, across: Array, some: Array, p: int, q: int) -> tuple[int, int]:
     """A triangle with the nodes p and q, and which of its edges joins them; -1, -1 if p and q are not joined."""
@@ -93,9 +102,7 @@ def flip(cells: Array, across: Array, marks: Array, some: Array, c: int, k: int)
     """Exchange the diagonal of the two triangles that share edge k of triangle c, a convex quadrilateral."""
     u = across[c, k]
     r, p, q = cells[c, k], cells[c, (k + 1) % 3], cells[c, (k + 2) % 3]
-    j = 0
-    while cells[u, j] == p or cells[u, j] == q:
-        j += 1
+    j = opposite(cells, u, p, q)
     s = cells[u, j]
     beside_q, mark_q = across[c, (k + 1) % 3], marks[c, (k + 1) % 3]  # across q r
     beside_p, mark_p = across[c, (k + 2) % 3], marks[c, (k + 2) % 3]  # across r p
@@ -169,10 +176,7 @@ def crossed(x: Array, cells: Array, across: Array, marks: Array, some: Array, a:
         c = across[c, k]
         if c < 0:
             break
-        j = 0
-        while cells[c, j] == p or cells[c, j] == q:
-            j += 1
-        s = cells[c, j]
+        s = cells[c, opposite(cells, c, p, q)]
         side = turn(x, a, b, s)
         if s == b or side == 0.0:
             return s, n
@@ -201,10 +205,7 @@ def clear(x: Array, cells: Array, across: Array, marks: Array, some: Array, a: i
         c, k = facet_of(cells, across, some, p, q)
         r = cells[c, k]
         u = across[c, k]
-        j = 0
-        while cells[u, j] == p or cells[u, j] == q:
-            j += 1
-        s = cells[u, j]
+        s = cells[u, opposite(cells, u, p, q)]
         if turn(x, r, s, p) * turn(x, r, s, q) < 0.0:
             flip(cells, across, marks, some, c, k)
             if r != a and r != b and s != a and s != b and turn(x, a, b, r) * turn(x, a, b, s) < 0.0:
@@ -236,10 +237,7 @@ def smooth(x: Array, cells: Array, across: Array, marks: Array, some: Array, a: 
             continue
         u = across[c, k]
         r, p, q = cells[c, k], cells[c, (k + 1) % 3], cells[c, (k + 2) % 3]
-        j = 0
-        while cells[u, j] == p or cells[u, j] == q:
-            j += 1
-        s = cells[u, j]
+        s = cells[u, opposite(cells, u, p, q)]
         if not in_circle(x, r, p, q, s) or not turn(x, r, s, p) * turn(x, r, s, q) < 0.0:
             continue
         flip(cells, across, marks, some, c, k)
