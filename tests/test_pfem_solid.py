@@ -118,31 +118,6 @@ def test_checkpoint(name):
     assert first.energy() == second.energy()
 
 
-RANKS = """
-import geofem, numpy as np
-from mpi4py import MPI
-from geofem import scenes
-from geofem.methods.pfem import Pfem
-out = []
-for name, knobs in ("wedge", {"tolerance": 1e-9}), ("column_collapse", {}):
-    model = Pfem().build(scenes.get(name)(), n=4, **knobs)
-    for _ in range(10):
-        model.step(model.dt())
-    out += [float(np.sum(model.body.cloud.x ** 2)), *(float(r[1]) for r in model.solver.reaction.values())]
-if MPI.COMM_WORLD.rank == 0:
-    print(*map(repr, out))
-"""
-
-
-@pytest.mark.mpi
-@pytest.mark.slow
-def test_ranks_agree(mpirun):
-    """Ten steps on one, two and three ranks, remeshing included, to 1e-9."""
-    one, two, three = (np.array(mpirun(n, RANKS).split(), float) for n in (1, 2, 3))
-    assert np.allclose(two, one, rtol=1e-9, atol=1e-12)
-    assert np.allclose(three, one, rtol=1e-9, atol=1e-12)
-
-
 def test_bodies_touch_by_the_mesh_between_them():
     """Two discs are pressed together and part: momentum stays to rounding, most of the energy comes back."""
     scene = scenes.get("collision")()

@@ -1,0 +1,47 @@
+"""Fluids and solids by pfem on several ranks are those of one, new meshes included: one start of the ranks serves both."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+PROGRAM = """
+import json, numpy as np
+from geofem import scenes
+from geofem.methods.pfem import Pfem
+found = []
+for name, knobs in ("dam_break", {"n": 8}), ("wedge", {"n": 4, "tolerance": 1e-9}), ("column_collapse", {"n": 4}):
+    model = Pfem().build(scenes.get(name)(), **knobs)
+    for _ in range(10):
+        model.step(model.dt())
+    if name == "dam_break":
+        c = model.cloud
+        fields, counts = np.hstack([c.x, c.v, c.p[:, None] / 1e3]), [model.work["remeshes"], c.n]
+    else:
+        reactions = [float(r[1]) for r in model.solver.reaction.values()]
+        fields, counts = np.array([[np.sum(model.body.cloud.x ** 2), *reactions]]), []
+    found.append([counts, fields.tolist()])
+if model.comm.rank == 0:
+    print("found", model.comm.size, json.dumps(found))
+"""
+
+
+@pytest.mark.mpi
+@pytest.mark.slow
+def test_ten_steps_are_the_same_on_one_two_and_three_ranks(mpirun: Callable[..., str]) -> None:
+    found = []
+    for ranks in (1, 2, 3):
+        line = next(line for line in mpirun(ranks, PROGRAM).splitlines() if line.startswith("found"))
+        size, text = line.split(maxsplit=2)[1:]
+        assert int(size) == ranks
+        found.append(json.loads(text))
+    for other in found[1:]:
+        (water, wedge, column), (expected, *solids) = other, found[0]
+        assert water[0] == expected[0]
+        one = np.array(expected[1])
+        assert np.abs(np.array(water[1]) - one).max() < 1e-9 * np.abs(one).max()
+        for (_, many), (_, alone) in zip((wedge, column), solids, strict=True):
+            assert np.allclose(many, alone, rtol=1e-9, atol=1e-12)
