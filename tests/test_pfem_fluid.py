@@ -156,6 +156,7 @@ def test_a_run_goes_on_from_its_checkpoint() -> None:
         ("footing", {"cfl": 0.1}, "solids"),
         ("dam_break", {"stabilization": 1.0}, "stabilisation"),
         ("square_drop", {"walls": "fixed"}, "must have walls"),
+        ("column_collapse", {"state": "points", "cured": True}, "cured"),
     ],
 )
 def test_mistakes_are_told_in_one_line(scene: str, knobs: dict[str, Any], word: str) -> None:
