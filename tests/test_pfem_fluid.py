@@ -1,9 +1,9 @@
-"""Fluids by pfem: rest, waves and a dam break against exact and measured values, conservation, ranks, and what the classical way loses."""
+"""Fluids by pfem: rest, waves and a dam break against exact and measured values, conservation, and what the classical way loses."""
 
 from __future__ import annotations
 
 import os
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,8 @@ import geofem
 from geofem import Result, methods, scenes
 from geofem.methods.pfem import flow_solver
 from geofem.mistake import Mistake
-from geofem.scene import Probe
+from geofem.scene import Probe, Scene
 from geofem.scenes import hydrostatic
-
-ROOT = Path(__file__).parents[1]
-LAUNCHER = Path(sys.executable).with_name("mpirun")
 
 
 def run(scene: str, **knobs: Any) -> Result:
@@ -126,12 +123,37 @@ def test_new_cells_compile_nothing() -> None:
     assert model.work["meshes"] > meshes and files() == before
 
 
-def test_large_systems_are_solved_by_blocks_in_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+def thick(mu: float | None, setup: str) -> Scene:
+    """A dam break of another viscosity (Pa s)."""
+    scene = scenes.get("dam_break")(setup=setup)
+    region = scene.regions[0]
+    parameters = region.material.parameters | ({} if mu is None else {"mu": mu})
+    return replace(scene, regions=(replace(region, material=replace(region.material, parameters=parameters)),))
+
+
+@pytest.mark.parametrize(
+    "setup, mu, sizes", [("martin_moyce", None, (15, 60)), ("martin_moyce", 10.0, (15, 60)), ("solid", None, (4, 9))], ids=str
+)
+def test_large_systems_take_as_few_iterations_as_small_ones(
+    monkeypatch: pytest.MonkeyPatch, setup: str, mu: float | None, sizes: tuple[int, int]
+) -> None:
+    """FGMRES to 1e-8 on 500 and 7 600 nodes in the plane, 180 and 1 400 in space; measured: see benchmarks/pfem_linear.py."""
+    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", {2: 1, 3: 1})
+    monkeypatch.setattr(flow_solver, "TOLERANCE", 1e-8)
+    mean = []
+    for n in sizes:
+        model = methods.get("pfem").build(thick(mu, setup), n=n)
+        model.step(model.dt())
+        mean.append(model.work["linear"] / model.work["newton"])
+    assert max(mean) < 21 and mean[1] < 1.25 * mean[0] + 1
+
+
+def test_blocks_and_factors_solve_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     exact = built("dam_break", 3, n=20)
-    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", 1)
+    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", {2: 1, 3: 1})
     model = built("dam_break", 3, n=20)
-    assert model.work["linear"] < 30 * model.work["newton"]
-    assert np.abs(model.cloud.v - exact.cloud.v).max() < 1e-5 * np.abs(exact.cloud.v).max()
+    assert model.work["linear"] > 3 * model.work["newton"] and model.work["newton"] <= exact.work["newton"] + 1
+    assert np.abs(model.cloud.v - exact.cloud.v).max() < 1e-6 * np.abs(exact.cloud.v).max()
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
