@@ -28,6 +28,8 @@ class Fem:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
         if scene.walls or scene.rigids:
             return "fem has no contact with walls or rigid bodies; use a material point method"
+        if scene.inlets or scene.outlets:
+            return "fem has no inlets and outlets; use pfem"
         if scene.cracks or scene.growth:
             return conforming.refuses(scene)
         if any(region.material.parameters.get("surface_tension") for region in scene.regions):

@@ -38,8 +38,8 @@ def refuses(scene: Scene) -> str | None:
         return "pfem flows one material at a time"
     if any(load.kind == "body" for load in scene.loads):
         return "pfem drives fluids by gravity, not by a body force"
-    if scene.gdim == 3 and scene.rigids:
-        return "pfem knows rigid bodies in the plane only"
+    if scene.gdim == 3 and (scene.rigids or scene.inlets or scene.outlets):
+        return "pfem knows rigid bodies, inlets and outlets in the plane only"
     return None
 
 
