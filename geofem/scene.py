@@ -271,6 +271,7 @@ class Probe:
         ``inflow``, ``outflow`` volume (m2 in the plane) that came in through all inlets, and left through all outlets, so far;
         ``pressure_error`` root mean square over the body of p - exact(x, t) (Pa) at *present* positions x, exact: (x, t) -> (n,),
         with the pressure p, a third of minus the trace of the stress;
+        ``velocity_error`` root mean square over the body of |v - exact(x, t)| (m/s) at *present* positions x, exact: -> (gdim, n);
         ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n);
         ``energy_error`` square root of the strain energy (J) of u minus a displacement of gradient exact: (x, t) -> (gdim, gdim, n);
         ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip that started nearest to the point ``at``; 0 once it

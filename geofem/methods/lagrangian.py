@@ -34,7 +34,12 @@ class Fem:
             return conforming.refuses(scene)
         if any(region.material.parameters.get("surface_tension") for region in scene.regions):
             return "fem has no surface tension; use pfem"
-        if unknown := {probe.quantity for probe in scene.probes} & {"largest_speed", "pressure_error", "volume"}:
+        if unknown := {probe.quantity for probe in scene.probes} & {
+            "largest_speed",
+            "pressure_error",
+            "velocity_error",
+            "volume",
+        }:
             return f"fem does not measure {', '.join(sorted(unknown))}"
         laws = {region.material.law for region in scene.regions}
         if scene.plane == "plane_stress" and laws != {"linear_elastic"}:

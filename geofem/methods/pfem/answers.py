@@ -52,9 +52,11 @@ class Places:
             return quantile(cloud.x[:, c], weight, probe.share)
         if probe.quantity == "mean_velocity":
             return float(weight @ cloud.v[:, c] / weight.sum())
-        if probe.quantity == "displacement_error":
+        if probe.quantity in ("displacement_error", "velocity_error"):
             assert probe.exact is not None
-            error = np.sum((cloud.x - cloud.X - probe.exact(cloud.X.T, t).T) ** 2, axis=1)
+            moved = probe.quantity == "displacement_error"
+            found, at = (cloud.x - cloud.X, cloud.X) if moved else (cloud.v, cloud.x)
+            error = np.sum((found - probe.exact(at.T, t).T) ** 2, axis=1)
             return math.sqrt(weight @ error / weight.sum())
         assert probe.at is not None
         fields = {"displacement": cloud.x - cloud.X, "velocity": cloud.v, "stress": stress}

@@ -154,7 +154,7 @@ class FluidModel:
             self.obstacles.follow(self.t, dt)
             self.obstacles.release(self.cloud, self.flow.reaction, self.mesh.cells, self.budget)
             self.obstacles.clip(self.cloud, self.mesh.cells, self.budget)
-            let_in(self.cloud, self.mesh.cells, self.obstacles, self.t, self.budget)
+            let_in(self.cloud, self.mesh, self.obstacles, self.t, self.budget)
         ids = self.cloud.id
         with phase("remesh"):
             made = on_root(self.comm, lambda: self._remesh(dt))

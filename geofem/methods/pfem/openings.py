@@ -13,6 +13,7 @@ from geofem.methods.pfem.budget import Amount, Budget, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import ON, Contact, Outflow
 from geofem.methods.pfem.loops import link, tally
+from geofem.methods.pfem.tessellation import Tessellation
 from geofem.mistake import Breakdown, Mistake
 from geofem.scene import Array
 
@@ -37,17 +38,30 @@ def fill(cloud: Cloud, obstacles: Contact) -> bool:
     return jumped
 
 
-def let_in(cloud: Cloud, cells: Array, obstacles: Contact, t: float, budget: Budget) -> None:
-    """Put the nodes of inlets back. Raises ``Breakdown`` where the stream has torn off an inlet."""
+def let_in(cloud: Cloud, mesh: Tessellation, obstacles: Contact, t: float, budget: Budget) -> None:
+    """Put the nodes of inlets back. Raises ``Breakdown`` where the stream has torn off an inlet.
+
+    What came in is the strip between the row and where it had gone. The edges that lead from its ends to the free surface cut or
+    bulge its corners by a little more, as chords of a curve do: the free surface near by owes that.
+    """
     for inlet in obstacles.inlets:
         on = cloud.fields["held"][:, inlet.column] > 0.999
         if on.sum() < 2:
             raise Breakdown("inflow", f"the stream tore off the inlet {inlet.plane.name}")
         cloud.fields["held"][:, inlet.column] = on  # what lies between a node on the inlet and another is not on it
-        before = Amount.of(cloud, cells, budget.gravity)
+        before = Amount.of(cloud, mesh.cells, budget.gravity)
+        a, b = mesh.facets[on[mesh.facets].all(axis=1)].T
+        one, two = cloud.x[b] - cloud.X[a], cloud.x[a] - cloud.X[b]
+        strip = 0.5 * float((one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum())
         cloud.x[on] = cloud.X[on]
         cloud.v[on] = inlet.speeds(cloud.x[on], t)
-        budget.book("inflow", Amount.of(cloud, cells, budget.gravity) - before)
+        change = Amount.of(cloud, mesh.cells, budget.gravity) - before
+        at, excess = cloud.X[on].mean(axis=0), change.volume - strip
+        if abs(excess) > 1e-12 * float(cloud.size[on].max()) ** 2:
+            budget.book("resample", budget.made(excess, at))
+            budget.owed = np.concatenate([budget.owed, [[*at, -excess]]])
+            change -= budget.made(excess, at)
+        budget.book("inflow", change)
 
 
 # --- out --------------------------------------------------------------------------------------------------------------
