@@ -132,7 +132,12 @@ def scene(*, law: str = "newtonian", slope: float | None = None) -> Scene:
                 lambda history: float(history["outflow"][-1]) / (flux * t_end),
                 reference=reference("f08_film", "discharge"),
             ),
-            Measure("depth", "-", lambda history: float(history["volume"][-1]) / (length * H), reference=reference("f08_film", "depth")),
+            Measure(
+                "depth",
+                "-",
+                lambda history: float(history["volume"][-1]) / (length * H),
+                reference=reference("f08_film", "depth"),
+            ),
         ),
         dynamic=True,
         t_end=t_end,

@@ -57,6 +57,8 @@ def build_fluid(
     for name, value, known in choices:
         if value not in known:
             raise unknown(name, value, known)
+    if tessellation == "alpha" and (scene.inlets or scene.outlets):
+        raise Mistake("knob tessellation = 'alpha': inlets and outlets need a boundary that is kept; use constrained")
     if not isinstance(n, int) or n < 1:
         raise Mistake(f"knob n = {n!r}: the number of cells across the scene's length is a whole number, at least 1")
     if not isinstance(compressible, bool):

@@ -121,10 +121,8 @@ def part_beyond(cloud: Cloud, cells: Array, height: Array, gravity: Array) -> Pa
         field[:, 1:] = field[:, :1] + share[:, :, None] * (field[:, 1:] - field[:, :1])
     corner = area * share.prod(axis=1)
     tip = corner, corner[:, None] * values(x, v, gravity).mean(axis=1)
-    part = [np.where(count == 1, tip[0], np.where(count == 2, whole[0] - tip[0], whole[0]))]
-    pick = count[:, None]
-    part.append(np.where(pick == 1, tip[1], np.where(pick == 2, whole[1] - tip[1], whole[1])))
-    return part[0], part[1]
+    every, sign = (count > 1).astype(float), np.array([0.0, 1.0, -1.0, 0.0])[count]
+    return every * whole[0] + sign * tip[0], every[:, None] * whole[1] + sign[:, None] * tip[1]
 
 
 def clipped(cloud: Cloud, cells: Array, facets: Array, outlet: Outflow, beyond: Array, height: Array) -> Array:
