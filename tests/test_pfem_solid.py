@@ -8,8 +8,7 @@ from scipy.spatial import Delaunay
 
 import geofem  # noqa: F401
 from geofem import scenes
-from geofem.methods.pfem import solid_domains
-from geofem.methods.pfem.solid_model import build_solid
+from geofem.methods.pfem import Pfem, solid_domains
 
 
 def random_mesh(seed, k=40):
@@ -46,7 +45,7 @@ def test_domains_see_a_linear_field_exactly_and_push_in_balance(seed):
 
 def solve(scene, **knobs):
     """The model at the end of its run, and the samples of its probes."""
-    model = build_solid(scene, **knobs)
+    model = Pfem().build(scene, **knobs)
     history = {"t": [], **{p.name: [] for p in scene.probes}}
     while model.t < scene.t_end - 1e-9:
         model.step(min(model.dt(), scene.t_end - model.t))
@@ -106,7 +105,7 @@ def test_column_collapses():
 def test_checkpoint(name):
     """A model that takes up the state of another one goes on as that does."""
     scene = scenes.get(name)()
-    first, second = build_solid(scene, n=4), build_solid(scene, n=4)
+    first, second = Pfem().build(scene, n=4), Pfem().build(scene, n=4)
     for _ in range(12):
         first.step(first.dt())
     second.restore({key: np.array(value) for key, value in first.state().items()})
@@ -123,10 +122,10 @@ RANKS = """
 import geofem, numpy as np
 from mpi4py import MPI
 from geofem import scenes
-from geofem.methods.pfem.solid_model import build_solid
+from geofem.methods.pfem import Pfem
 out = []
 for name, knobs in ("wedge", {"tolerance": 1e-9}), ("column_collapse", {}):
-    model = build_solid(scenes.get(name)(), n=4, **knobs)
+    model = Pfem().build(scenes.get(name)(), n=4, **knobs)
     for _ in range(10):
         model.step(model.dt())
     out += [float(np.sum(model.body.cloud.x ** 2)), *(float(r[1]) for r in model.solver.reaction.values())]
@@ -147,7 +146,7 @@ def test_ranks_agree(mpirun):
 def test_bodies_touch_by_the_mesh_between_them():
     """Two discs are pressed together and part: momentum stays to rounding, most of the energy comes back."""
     scene = scenes.get("collision")()
-    model = build_solid(scene, n=14)
+    model = Pfem().build(scene, n=14)
     before, least = model.energy()["kinetic"], np.inf
     while model.t < 3.0:
         model.step(model.dt())

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.mistake import Mistake
 from geofem.scene import Array, Inlet, Outlet, Rigid, Scene, Wall
@@ -293,7 +293,6 @@ class Obstacles:
         Momentum goes to the obstacle, and is booked as ``wall``; so is the volume (m2 or m3) that this made, which in the plane is
         owed to the free surface near by. Returns the displacements (n, gdim) (m).
         """
-        before = Amount.of(cloud, cells, budget.gravity)
         start, field = cloud.x.copy(), cloud.fields["held"]
         for o, solid in enumerate(self.solids):
             distance, normals = solid.reach(cloud.x)
@@ -312,7 +311,7 @@ class Obstacles:
             field[cloud.carried > 0, o] = 0.0  # what flies slides along it, and may leave at once
         for outlet in self.outlets:
             field[outlet.plane.height(cloud.x) > SLIP * cloud.size, outlet.column] = 0.0
-        budget.book("wall", Amount.of(cloud, cells, budget.gravity) - before)
+        budget.book("wall", budget.look(cloud, cells))
         moved = (cloud.x != start).any(axis=1)
         if cloud.x.shape[1] == 2 and moved.any():
             near = cells[moved[cells].any(axis=1)]

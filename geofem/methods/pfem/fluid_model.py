@@ -12,7 +12,7 @@ from mpi4py import MPI
 from geofem.core.mpi import on_root
 from geofem.cost import phase
 from geofem.methods.pfem import answers
-from geofem.methods.pfem.budget import KINDS, OPEN, Amount, Budget, lumped, node_volumes, volumes
+from geofem.methods.pfem.budget import KINDS, OPEN, Budget, lumped, node_volumes, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme
@@ -58,10 +58,13 @@ class FluidModel:
         self._stale = True
         self.kept = not isinstance(tessellator, AlphaShape)
         """Whether the boundary is that of the step before; an alpha shape finds it anew in every step."""
-        self.start = Amount.of(cloud, mesh.cells, self.budget.gravity)
+        self.budget.look(cloud, mesh.cells)
+        self.start = self.budget.now
         self._worst = 0.0
         self._energy = {"internal": 0.0, "external": 0.0}
         self.impulse = np.zeros(scene.gdim)
+        self._reactions = np.zeros((len(obstacles.names), scene.gdim))
+        """Forces of the obstacles on the nodes in the last step (N)."""
         self._pushed = self.flow.density * math.sqrt(2 * self.start.volume * self.start.kinetic)
         """Sizes of all impulses of gravity and of the first momentum (N s), the scale of what ought to be nought."""
         self._places = answers.Places(scene, cloud, mesh.cells)
@@ -135,18 +138,18 @@ class FluidModel:
         powers = self.flow.powers()
         self._energy["internal"] += dt * float(powers.sum())
         pushed = self.flow.reaction + self.flow.traction
+        self._reactions = answers.reactions(self.obstacles, cloud, self.flow.reaction)
         work = float((mass[:, None] * gravity * u).sum()) + float((pushed * u).sum())
         flown = self.flow.density * cloud.carried
         fall = cloud.v * dt + 0.5 * dt * dt * gravity
         self._energy["external"] += dt * work + float((flown[:, None] * fall * gravity).sum())
         self._pushed += dt * float((mass + flown).sum()) * float(np.linalg.norm(gravity))
         self.impulse += dt * ((mass + flown).sum() * gravity + pushed.sum(axis=0))
-        start = Amount.of(cloud, mesh.cells, self.budget.gravity)
         cloud.x = np.where(flying[:, None], cloud.x + fall, cloud.x + dt * u)
         cloud.v = np.where(flying[:, None], cloud.v + dt * gravity, new)
         cloud.p = np.where(flying, 0.0, cloud.p + (p - cloud.p) / theta if self.scheme.compressible else p)
         self.budget.jolted = False
-        self.budget.book("lagrangian", Amount.of(cloud, mesh.cells, self.budget.gravity) - start)
+        self.budget.book("lagrangian", self.budget.look(cloud, mesh.cells))
 
     def _retessellate(self, dt: float) -> None:
         """Obstacles, and new nodes and cells where the mesh asks for it. Collective."""
@@ -167,11 +170,11 @@ class FluidModel:
             same = np.array_equal(made.cells, self.mesh.cells) and np.array_equal(ids, self.cloud.id)
             self.mesh, self._stale = made, not same
             self.work["remeshes"] += 1
-        self._worst = max(self._worst, self._drift(Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)), key=abs)
+        self._worst = max(self._worst, self._drift(), key=abs)
 
-    def _drift(self, now: Amount) -> float:
+    def _drift(self) -> float:
         """Volume that was made, by that of the start."""
-        return (now.volume - self.budget.passed().volume) / self.start.volume - 1.0
+        return (self.budget.now.volume - self.budget.passed().volume) / self.start.volume - 1.0
 
     def _remesh(self, dt: float) -> Tessellation | None:
         if (
@@ -181,13 +184,16 @@ class FluidModel:
         ):
             return None
         made = remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
-        return beside_walls(made, self.cloud) if "fixed" in self.cloud.fields else made
+        if "fixed" in self.cloud.fields:
+            made = beside_walls(made, self.cloud)
+            self.budget.book("resample", self.budget.look(self.cloud, made.cells))
+        return made
 
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
         if probe.quantity == "reaction":
-            return float(answers.reaction(self.obstacles, self.cloud, self.flow.reaction, str(probe.of))[probe.component])
+            return float(self._reactions[self.obstacles.names.index(str(probe.of)), probe.component])
         if probe.quantity in OPEN:
             return abs(self.budget.of[probe.quantity].volume)
         cloud, volume = self.cloud, lumped(self.cloud, self.mesh.cells)
@@ -220,9 +226,9 @@ class FluidModel:
 
         ``volume_`` and ``energy_`` with a kind of change: what it made in volume, and took of the energy that was put in.
         """
-        now = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)
+        now = self.budget.now
         put_in = self.flow.density * self.start.kinetic + abs(self._put_in())
-        drift = self._drift(now)
+        drift = self._drift()
         lost = self.flow.density * (now.momentum - self.start.momentum) - self.impulse
         for kind in ("wall", "resample", *OPEN):
             # what obstacles took when nodes were put on them, and from nodes that were made anew on them
@@ -253,7 +259,7 @@ class FluidModel:
     def state(self) -> dict[str, Array]:
         numbers = [self.t, self._limit, self._worst, self._pushed, *self._energy.values(), *self.impulse]
         out = {"numbers": np.array(numbers), "work": np.array(list(self.work.values()), float)}
-        out |= {"cells": self.mesh.cells, "facets": self.mesh.facets, "reaction": self.flow.reaction}
+        out |= {"cells": self.mesh.cells, "facets": self.mesh.facets, "reactions": self._reactions}
         out |= answers.cloud_state(self.cloud) | answers.budget_state(self.budget)
         return out
 
@@ -267,7 +273,8 @@ class FluidModel:
         )
         cells = state["cells"].astype(np.int64)
         self.mesh = Tessellation(cells, state["facets"].astype(np.int64), np.arange(len(cells)))
-        self.flow.reaction = state["reaction"]
+        self._reactions = state["reactions"]
         answers.restore_cloud(self.cloud, state)
         answers.restore_budget(self.budget, state)
+        self.budget.look(self.cloud, self.mesh.cells)
         self._stale = True

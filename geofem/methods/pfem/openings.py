@@ -49,13 +49,12 @@ def let_in(cloud: Cloud, mesh: Tessellation, obstacles: Contact, t: float, budge
         if on.sum() < 2:
             raise Breakdown("inflow", f"the stream tore off the inlet {inlet.plane.name}")
         cloud.fields["held"][:, inlet.column] = on  # what lies between a node on the inlet and another is not on it
-        before = Amount.of(cloud, mesh.cells, budget.gravity)
         a, b = mesh.facets[on[mesh.facets].all(axis=1)].T
         one, two = cloud.x[b] - cloud.X[a], cloud.x[a] - cloud.X[b]
         strip = 0.5 * float((one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]).sum())
         cloud.x[on] = cloud.X[on]
         cloud.v[on] = inlet.speeds(cloud.x[on], t)
-        change = Amount.of(cloud, mesh.cells, budget.gravity) - before
+        change = budget.look(cloud, mesh.cells)
         at, excess = cloud.X[on].mean(axis=0), change.volume - strip
         if abs(excess) > 1e-12 * float(cloud.size[on].max()) ** 2:
             budget.book("resample", budget.made(excess, at))

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
@@ -233,7 +233,7 @@ def remesh(
     ``parents`` of the answer are rows of the tessellation that was given. What has passed an outlet goes. Volume is kept but for what
     the budget says, momentum patch by patch (components at obstacles excepted).
     """
-    start, booked = Amount.of(cloud, tessellation.cells, budget.gravity), budget.total()
+    booked = budget.total()
     before, flying = Momenta.of(cloud, tessellation.cells), np.flatnonzero(cloud.carried > 0)
     facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
     left = useless
@@ -270,8 +270,7 @@ def remesh(
     new = Tessellation(new.cells, new.facets, np.where(new.parents >= 0, rows[new.parents], -1))
     touch = obstacles.touch(cloud)
     balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
-    change = Amount.of(cloud, new.cells, budget.gravity) - start - (budget.total() - booked)
-    budget.book("resample", change)
+    budget.book("resample", budget.look(cloud, new.cells) - (budget.total() - booked))
     return new
 
 

@@ -71,6 +71,7 @@ class Remesher:
             for name, values in (("F", history.F), ("state", history.state)):
                 cloud.fields[name] = transfer.to_nodes(values, old.cells, body.triangles.volume, cloud.n)[0]
         places = cloud.x[old.cells].mean(axis=1)
+        self.budget.look(cloud, old.cells)
         new = resample.remesh(cloud, old, self.obstacles, self.tessellator, SOLID, self.budget, dt)
         if body.nodal:
             return cloud, new, History(cloud.fields.pop("F"), cloud.fields.pop("state"), cloud.region)
