@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import geofem
 from geofem import Result, methods, scenes
 from geofem.methods.pfem import flow_solver
 from geofem.mistake import Mistake
-from geofem.scene import Probe
+from geofem.scene import Probe, Scene
 from geofem.scenes import hydrostatic
 
 ROOT = Path(__file__).parents[1]
@@ -128,18 +129,44 @@ def test_new_cells_compile_nothing() -> None:
     assert model.work["meshes"] > meshes and files() == before
 
 
-def test_large_systems_are_solved_by_blocks_in_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+def thick(mu: float | None, setup: str) -> Scene:
+    """A dam break of another viscosity (Pa s)."""
+    scene = scenes.get("dam_break")(setup=setup)
+    region = scene.regions[0]
+    parameters = region.material.parameters | ({} if mu is None else {"mu": mu})
+    return replace(scene, regions=(replace(region, material=replace(region.material, parameters=parameters)),))
+
+
+@pytest.mark.parametrize(
+    "setup, mu, sizes", [("martin_moyce", None, (15, 60)), ("martin_moyce", 10.0, (15, 60)), ("solid", None, (4, 9))], ids=str
+)
+def test_large_systems_take_as_few_iterations_as_small_ones(
+    monkeypatch: pytest.MonkeyPatch, setup: str, mu: float | None, sizes: tuple[int, int]
+) -> None:
+    """FGMRES to 1e-8 on 500 and 7 600 nodes in the plane, 180 and 1 400 in space; measured: see benchmarks/pfem_linear.py."""
+    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", {2: 1, 3: 1})
+    monkeypatch.setattr(flow_solver, "TOLERANCE", 1e-8)
+    mean = []
+    for n in sizes:
+        model = methods.get("pfem").build(thick(mu, setup), n=n)
+        model.step(model.dt())
+        mean.append(model.work["linear"] / model.work["newton"])
+    assert max(mean) < 21 and mean[1] < 1.25 * mean[0] + 1
+
+
+def test_blocks_and_factors_solve_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     exact = built("dam_break", 3, n=20)
-    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", 1)
+    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", {2: 1, 3: 1})
     model = built("dam_break", 3, n=20)
-    assert model.work["linear"] < 30 * model.work["newton"]
-    assert np.abs(model.cloud.v - exact.cloud.v).max() < 1e-5 * np.abs(exact.cloud.v).max()
+    assert model.work["linear"] > 3 * model.work["newton"] and model.work["newton"] <= exact.work["newton"] + 1
+    assert np.abs(model.cloud.v - exact.cloud.v).max() < 1e-6 * np.abs(exact.cloud.v).max()
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
 TEN_STEPS = """
 import json, numpy as np
 from geofem import methods, scenes
+from geofem.methods.pfem import flow_solver
 out = []
 for name, n in (("dam_break", 8), ("film", 4)):
     model = methods.get("pfem").build(scenes.get(name)(), n=n)
@@ -147,7 +174,12 @@ for name, n in (("dam_break", 8), ("film", 4)):
         model.step(model.dt())
     c = model.cloud
     out.append([model.comm.size, model.work["remeshes"], c.n, np.hstack([c.x, c.v, c.p[:, None] / 1e3]).tolist()])
-if model.comm.rank == 0:
+flow_solver.SPLIT_DOFS, flow_solver.TOLERANCE = {2: 1}, 1e-8
+blocks = methods.get("pfem").build(scenes.get("dam_break")(), n=8)
+for _ in range(2):
+    blocks.step(blocks.dt())
+out.append([blocks.work["linear"] / blocks.work["newton"], blocks.cloud.v.tolist()])
+if blocks.comm.rank == 0:
     print(json.dumps(out))
 """
 
@@ -162,11 +194,15 @@ def test_ten_steps_are_the_same_on_one_two_and_three_ranks() -> None:
         done = subprocess.run(words, capture_output=True, text=True, timeout=600, cwd=ROOT, check=False)
         assert done.returncode == 0, done.stderr
         found.append(json.loads(next(line for line in done.stdout.splitlines() if line.startswith("["))))
-    for n, rows in zip((2, 3), found[1:]):
-        for row, alone in zip(rows, found[0]):
-            one = np.array(alone[3])
-            assert row[0] == n and row[1:3] == alone[1:3]
+    for n, (*rows, (mean, v)) in zip((2, 3), found[1:]):
+        *alone, (few, blocks) = found[0]
+        for row, other in zip(rows, alone):
+            one = np.array(other[3])
+            assert row[0] == n and row[1:3] == other[1:3]
             assert np.abs(np.array(row[3]) - one).max() < 1e-9 * np.abs(one).max()
+        # by blocks the preconditioner depends on the ranks, the solution to its tolerance does not
+        assert 3 < mean < 1.5 * few < 30
+        assert np.abs(np.array(v) - np.array(blocks)).max() < 1e-6 * np.abs(np.array(blocks)).max()
 
 
 def test_a_run_goes_on_from_its_checkpoint() -> None:
