@@ -22,6 +22,9 @@ STIFF = 1e6
 CREEP = 1e-3
 """Speed of slip, by what gravity gives in a step, below which friction is a dashpot."""
 
+ROUNDING = 1e-9
+"""Changes of the velocity below this fraction of what gravity gives in a step are rounding: a fluid at rest has no other scale."""
+
 
 @dataclass(frozen=True)
 class Scheme:
@@ -92,7 +95,9 @@ class Flow:
         system.set_start(cloud.x, cloud.v, cloud.p, scheme.theta)
         ties = Ties(self, cloud, mesh, obstacles, dt, gravity)
         adjust = ties.adjust if self.springs else None
-        system.solve(dt, scheme.theta, CONFIGURATIONS[scheme.configuration], ties.held, scheme.tolerance, adjust)
+        # a heap that has come to rest has no velocity to measure by, and its friction settles no better than that of one that flows
+        still = scheme.tolerance if self.law == "mu_i" else ROUNDING
+        system.solve(dt, scheme.theta, CONFIGURATIONS[scheme.configuration], ties.held, scheme.tolerance, still, adjust)
         force = system.residual()
         local = np.column_stack([system.velocity(), system.pressure(), force[system.velocity_dofs]])
         whole = system.everywhere(cloud.n, local)
