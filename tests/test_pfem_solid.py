@@ -92,13 +92,14 @@ def test_wedge_goes_deep():
 
 
 def test_column_collapses():
-    """The heap comes to rest at the height of experiments; momentum is that of the forces, energy is not made."""
+    """The heap stands as high as those of experiments; momentum is that of the forces, mesh by mesh, and energy is accounted for."""
     scene = scenes.get("column_collapse")(law="mu_i")
     model, history = solve(scene, n=8)
     assert error_of(scene, history, "height") < 0.1
     checks, energy = model.checks(), model.energy()
-    assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.02 and checks["momentum"] < 0.05
-    assert energy["kinetic"] + energy["internal"] < 1.02 * energy["external"]
+    assert model.work["remeshes"] > 50
+    assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.02 and checks["momentum"] < 1e-12
+    assert energy["kinetic"] + energy["internal"] == pytest.approx(energy["external"], rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["wedge", "column_collapse"])

@@ -21,9 +21,6 @@ from geofem.scene import Array
 MAX_ITERATIONS = 40
 SLOW = 0.3
 """Where an iteration lowers the change by less than this factor, the matrix is factorised anew."""
-
-ROUNDING = 1e-9
-"""Changes of the velocity below this fraction of what gravity gives in a step are rounding: a fluid at rest has no other scale."""
 Adjust = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 
 
@@ -149,11 +146,12 @@ class FluidSystem:
         vector.scatter_reverse(la.InsertMode.add)
         return vector.array
 
-    def solve(self, dt: float, theta: float, way: float, held: Array, given: Array, tolerance: float,
+    def solve(self, dt: float, theta: float, way: float, held: Array, given: Array, tolerance: float, still: float,
               adjust: Adjust | None = None) -> None:  # fmt: skip
         """Find w: the velocity and pressure at t + theta dt, on the configuration at t + way dt.
 
-        held : (n, gdim) bool, velocity components of the cloud's nodes that are given, by ``given`` (n, gdim) (m/s).
+        held : (n, gdim) bool, velocity components of the cloud's nodes that are given, by ``given`` (n, gdim) (m/s). tolerance,
+        still : the last change of the velocity may be so much of the largest one, or of what gravity gives in the step.
         adjust : (places, velocities, forces out of balance of all nodes) -> springs (N s/m), forces (N) and volumes (m2 or m3) of
         all nodes in the present iteration.
         Raises ``Breakdown`` (newton).
@@ -163,7 +161,7 @@ class FluidSystem:
         self.w.x.array[fixed] = given[self.nodes][held[self.nodes]]
         rows = fixed[fixed < self.owned_dofs]
         bcs = self._conditions(held[self.nodes])
-        rounding = ROUNDING * dt * float(np.linalg.norm(self.constants["gravity"].value))
+        least = still * dt * float(np.linalg.norm(self.constants["gravity"].value))
         last, refactor = np.inf, True
         rest = np.zeros(self.w.x.array.size)
         for _ in range(MAX_ITERATIONS):
@@ -184,7 +182,7 @@ class FluidSystem:
             moved, speed = self._largest(change)
             if not np.isfinite(moved):
                 raise Breakdown("newton", "the flow solver met numbers that are none")
-            if moved <= max(tolerance * speed, rounding):
+            if moved <= max(tolerance * speed, least):
                 self.place(way * dt)
                 return
             refactor = moved > SLOW * last
