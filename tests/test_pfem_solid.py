@@ -91,6 +91,17 @@ def test_wedge_goes_deep():
     assert history["t"][-1] == pytest.approx(1.0)
 
 
+def test_averaged_history_of_triangles_runs_to_its_end_and_loses_what_is_copied():
+    """Measured of Hill's pressure on the wedge: 3 % off where history is copied, 16 % where it goes by way of the nodes."""
+    scene, off = scenes.get("wedge")(), {}
+    for transfer in ("copy", "average"):
+        model, history = solve(scene, n=4, state="points", transfer=transfer)
+        off[transfer] = error_of(scene, history, "p_over_k")
+        assert history["t"][-1] == pytest.approx(1.0) and model.work["remeshes"] > 5
+        assert model.checks()["mass"] < 1e-12 and abs(model.checks()["volume"]) < 1e-3
+    assert off["copy"] < 0.08 < off["average"]
+
+
 def test_column_collapses():
     """The heap stands as high as those of experiments; momentum is that of the forces, mesh by mesh, and energy is accounted for."""
     scene = scenes.get("column_collapse")()
@@ -117,31 +128,6 @@ def test_checkpoint(name):
     assert np.array_equal(first.body.cloud.x, second.body.cloud.x)
     assert [first.probe(p) for p in scene.probes] == [second.probe(p) for p in scene.probes]
     assert first.energy() == second.energy()
-
-
-RANKS = """
-import geofem, numpy as np
-from mpi4py import MPI
-from geofem import scenes
-from geofem.methods.pfem import Pfem
-out = []
-for name, knobs in ("wedge", {"tolerance": 1e-9}), ("column_collapse", {}):
-    model = Pfem().build(scenes.get(name)(), n=4, **knobs)
-    for _ in range(10):
-        model.step(model.dt())
-    out += [float(np.sum(model.body.cloud.x ** 2)), *(float(r[1]) for r in model.solver.reaction.values())]
-if MPI.COMM_WORLD.rank == 0:
-    print(*map(repr, out))
-"""
-
-
-@pytest.mark.mpi
-@pytest.mark.slow
-def test_ranks_agree(mpirun):
-    """Ten steps on one, two and three ranks, remeshing included, to 1e-9."""
-    one, two, three = (np.array(mpirun(n, RANKS).split(), float) for n in (1, 2, 3))
-    assert np.allclose(two, one, rtol=1e-9, atol=1e-12)
-    assert np.allclose(three, one, rtol=1e-9, atol=1e-12)
 
 
 def test_bodies_touch_by_the_mesh_between_them():

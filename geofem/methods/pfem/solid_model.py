@@ -155,6 +155,9 @@ def build_solid(
             raise Mistake(f"knob {name} = {value!r}: give a whole number, at least 1")
     if transfer not in TRANSFERS:
         raise unknown("transfer", transfer, TRANSFERS)
+    if cured and scene.dynamic and state == "points":
+        # The average feels nothing of neighbours that swell and shrink in turn; in motion they do, and their areas weigh the stresses.
+        raise Mistake("knob cured = True: triangles in motion would make volume; leave it out, or take state = nodal")
     cured = not scene.dynamic if cured is None else cured
     if stabilisation is None:
         stabilisation = DAMPING if scene.dynamic else STABILISATION
