@@ -113,13 +113,14 @@ def test_averaged_history_of_triangles_runs_to_its_end_and_loses_what_is_copied(
 
 
 def test_column_collapses():
-    """The heap comes to rest at the height of experiments; momentum is that of the forces, energy is not made."""
-    scene = scenes.get("column_collapse")(law="mu_i")
-    model, history = solve(scene, n=8)
+    """The heap stands as high as those of experiments; momentum is that of the forces, mesh by mesh, and energy is accounted for."""
+    scene = scenes.get("column_collapse")()
+    model, history = solve(scene, n=6)
     assert error_of(scene, history, "height") < 0.1
     checks, energy = model.checks(), model.energy()
-    assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.02 and checks["momentum"] < 0.05
-    assert energy["kinetic"] + energy["internal"] < 1.02 * energy["external"]
+    assert model.work["remeshes"] > 50
+    assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.03 and checks["momentum"] < 1e-12
+    assert energy["kinetic"] + energy["internal"] == pytest.approx(energy["external"], rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["wedge", "column_collapse"])
