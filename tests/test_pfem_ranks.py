@@ -13,7 +13,10 @@ import json, numpy as np
 from geofem import scenes
 from geofem.methods.pfem import Pfem, flow_solver
 found = []
-runs = ("dam_break", {"n": 8}), ("film", {"n": 4}), ("wedge", {"n": 4, "tolerance": 1e-9}), ("column_collapse", {"n": 4})
+# The wedge in steps so short that none is cut: near the last iteration that is allowed, rounding decides, and MUMPS on several
+# ranks does not repeat it.
+wedge = {"n": 4, "tolerance": 1e-9, "steps": 128}
+runs = ("dam_break", {"n": 8}), ("film", {"n": 4}), ("wedge", wedge), ("column_collapse", {"n": 4})
 for name, knobs in runs:
     model = Pfem().build(scenes.get(name)(), **knobs)
     for _ in range(10):
@@ -23,7 +26,7 @@ for name, knobs in runs:
         fields, counts = np.hstack([c.x, c.v, c.p[:, None] / 1e3]), [model.work["remeshes"], c.n]
     else:
         reactions = [float(r[1]) for r in model.solver.reaction.values()]
-        fields, counts = np.array([[np.sum(model.body.cloud.x ** 2), *reactions]]), []
+        fields, counts = np.array([[np.sum(model.body.cloud.x ** 2), *reactions]]), [model.work["remeshes"]]
     found.append([counts, fields.tolist()])
 kept = flow_solver.SPLIT_DOFS, flow_solver.TOLERANCE
 flow_solver.SPLIT_DOFS, flow_solver.TOLERANCE = {2: 1}, 1e-8
@@ -51,8 +54,10 @@ def test_ten_steps_are_the_same_on_one_two_and_three_ranks(mpirun: Callable[...,
         for (counts, many), (alone, one) in zip(fluids, expected, strict=True):
             assert counts == alone
             assert np.abs(np.array(many) - np.array(one)).max() < 1e-9 * np.abs(one).max()
-        for (_, many), (_, alone) in zip((wedge, column), (one_wedge, one_column), strict=True):
+        for (new, many), (meshes, alone) in zip((wedge, column), (one_wedge, one_column), strict=True):
+            assert new == meshes
             assert np.allclose(many, alone, rtol=1e-9, atol=1e-12)
+        assert one_wedge[0][0] > 3, "the wedge asks for new meshes"
         # by blocks the preconditioner depends on the ranks, the solution to its tolerance does not
         assert 3 < blocks[0] < 1.5 * by_blocks[0] < 30
         v = np.array(by_blocks[1])
