@@ -12,6 +12,7 @@ from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
+from geofem.methods.pfem.skin import collapse, give_back, lengths, split, swept
 from geofem.methods.pfem.surface import Rules, change_boundary
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
 from geofem.methods.pfem.tessellation.simplices import parents, quality
@@ -235,8 +236,12 @@ def remesh(
     start, booked = Amount.of(cloud, tessellation.cells, budget.gravity), budget.total()
     before = Momenta.of(cloud, tessellation.cells)
     facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
+    ids, x = cloud.id, cloud.x
     if rules.boundary:
         facets, useless, links = change_boundary(cloud, facets, obstacles, rules, dt, budget)
+    elif rules.skin:
+        facets = split(cloud, facets, rules.coarse)
+        facets, useless = collapse(cloud, facets, obstacles.held(cloud), rules.fine)
     else:
         budget.owed = budget.owed[:0]
     links = cloud.id[links]
@@ -262,6 +267,11 @@ def remesh(
         new = Tessellation(number[new.cells], number[new.facets], new.parents)
     new = Tessellation(new.cells, new.facets, np.where(new.parents >= 0, rows[new.parents], -1))
     touch = obstacles.touch(cloud)
+    if rules.skin:
+        places = np.zeros((cloud.next_id, 3))
+        places[ids], places[cloud.id] = x, cloud.x
+        due = swept(places, ids[tessellation.facets], cloud.id[new.facets]) * [1, 1, 1, -1]
+        give_back(cloud, new.cells, new.facets, touch.count, np.concatenate([budget.owed, due]), budget)
     balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
     change = Amount.of(cloud, new.cells, budget.gravity) - start - (budget.total() - booked)
     budget.book("resample", change)
@@ -275,6 +285,9 @@ def needs(cloud: Cloud, tessellation: Tessellation, rules: Rules, budget: Budget
         return True
     if len(too_big(cloud, cells, rules)):
         return True
+    if rules.skin:
+        owed = float(np.abs(budget.owed[:, -1]).sum())
+        return bool((lengths(cloud, facets) > rules.coarse).any()) or owed > 1e-9 * float((cloud.size**3).max())
     if not rules.boundary:
         return False
     a, b = facets.T
