@@ -69,7 +69,7 @@ def draw(found: dict[str, np.ndarray], places: np.ndarray, low: float, high: flo
         ):
             axes.plot(0.5 * (places[1:] + places[:-1]) / L0, heights / L0, style, color=colour, linewidth=2.5, label=label)
         axes.set(xlabel="$x / L_0$", ylabel="height / $L_0$", xlim=(0, 4), ylim=(0, 1.05))
-        axes.legend(frameon=False)
+        axes.legend(facecolor="white", edgecolor="white", framealpha=1.0)
         canvas.savefig(path, dpi=110)
 
 

@@ -55,6 +55,13 @@ def test_mud_stops_where_its_yield_stress_holds_it() -> None:
     assert result.qoi["rest"] < 1e-3 and abs(result.checks["volume"]) < 1e-6
 
 
+def test_grains_run_as_far_as_another_solver_of_their_rheology_says_and_come_to_rest() -> None:
+    result = run("column_collapse", setup="lagree", n=6)
+    assert result.error["run_out"] < 0.15 and result.error["height"] < 0.03
+    assert abs(result.history["mean_velocity"][-1]) < 1e-3
+    assert abs(result.checks["volume"]) < 1e-5 and result.checks["energy"] < 0.03
+
+
 def test_front_of_koshizukas_dam_break() -> None:
     result = run("dam_break", setup="koshizuka", n=10)
     assert result.error["front"] < 0.05 and result.qoi["volume"] < 1e-3

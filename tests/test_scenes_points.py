@@ -24,6 +24,7 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     *[("axis_aligned", knobs) for knobs in ({}, {"A": 0.1}, {"dim": 1}, {"dim": 1, "strip": 16})],
     *[("stretch", knobs) for knobs in ({}, {"stretch": 8.0})],
     *[("column_collapse", knobs) for knobs in ({}, {"a": 0.5}, {"a": 4}, {"law": "drucker_prager"}, {"friction": 0.0})],
+    ("column_collapse", {"setup": "lagree"}),
     *[("dam_break", knobs) for knobs in ({}, {"end": 0.5})],
     *[("slope_runout", knobs) for knobs in ({}, {"f": 1.1})],
     *[("wedge", {"beta": beta}) for beta in (15, 33.3, 45.0, 75)],
@@ -136,6 +137,8 @@ def test_supports_and_walls_hold_on_the_boundary_and_beyond(name: str, knobs: di
         ("column_collapse", {"a": 0}),
         ("column_collapse", {"law": "tresca"}),
         ("column_collapse", {"friction": -1}),
+        ("column_collapse", {"setup": "staron"}),
+        ("column_collapse", {"setup": "lagree", "law": "mohr_coulomb"}),
         ("dam_break", {"end": "after_impact"}),
         ("dam_break", {"end": 0.01}),
         ("slope_runout", {"f": 0}),
@@ -345,6 +348,15 @@ def test_column_collapse_measures_by_the_width() -> None:
     assert measure(scene, "run_out").reference.error(3.0) == 0, "inside the band"
     assert measure(scene, "run_out").reference.error(10.0) > 1
     assert scene.t_end == pytest.approx(4 * math.sqrt(0.2 / 9.81))
+
+
+def test_column_collapse_of_lagree_is_measured_by_the_law_of_its_solver() -> None:
+    for a, far in ((0.5, 1.1), (2.0, 4.4), (10.0, 3.9 * 10**0.7)):
+        scene = made("column_collapse", setup="lagree", a=a)
+        assert measure(scene, "run_out").reference.value == pytest.approx(far)
+        assert measure(scene, "run_out").value({"front": np.array([0.1, 0.2])}) == pytest.approx(1.0)
+    below, above = (made("column_collapse", setup="lagree", a=a) for a in (7.0, 7.0001))
+    assert measure(below, "run_out").reference.value == pytest.approx(measure(above, "run_out").reference.value, rel=0.02)
 
 
 def test_column_collapse_laws_have_the_same_strength_at_rest() -> None:

@@ -71,7 +71,8 @@ class Pfem:
         stabilisation : of fluids the factor on tau of equal-order elements (1; 0: none); of solids the share of the shear stiffness
             that acts on each triangle against the modes that nodal averages do not see (0.002, and 0.02 in motion).
         tolerance : of fluids the change of the velocity in the last iteration by the largest velocity (1e-6; bingham 1e-4,
-            mu_i 1e-3); of solids the force out of balance by the forces that balance (1e-9, plastic laws 1e-5).
+            mu_i 1e-3, where at rest by what gravity gives in a step); of solids the force out of balance by the forces that balance
+            (1e-9, plastic laws 1e-5).
 
         Of fluids:
 
@@ -92,9 +93,11 @@ class Pfem:
         Of solids:
 
         state : where history lives, nodal (averages around nodes: no transfer; the default for plastic laws), or points (in the triangles).
-        cured : of points, whether the change of volume is averaged around nodes against locking; by default in scenes without inertia.
+        cured : of points, whether the change of volume is averaged around nodes against locking; by default in scenes without
+            inertia, and in these only: in motion a collapse and a swinging beam would gain a sixth of their volume.
         transfer : of points in triangles made anew: copy of the nearest, or average by way of the nodes.
-        remesh : False keeps the first triangles.
+        remesh : False keeps the first triangles, as scenes of several bodies and of small strain always do (``work`` then counts no
+            remeshes, and the run ends by ``tangle`` where a triangle turns over).
         grading : exponent with which the first cells shrink towards the scene's singular points.
         steps : load steps of a scene without inertia (10, and 4 n with rigid bodies).
 

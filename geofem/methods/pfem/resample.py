@@ -8,10 +8,11 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
+from geofem.methods.pfem.openings import leaving, let_out
 from geofem.methods.pfem.skin import collapse, give_back, lengths, split, swept
 from geofem.methods.pfem.surface import Rules, change_boundary
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
@@ -143,28 +144,32 @@ def too_big(cloud: Cloud, cells: Array, rules: Rules) -> Array:
 
 
 @dataclass
-class Momenta:
-    """int v over cells (m, gdim) and flying nodes, by the ids of their nodes."""
+class Carried:
+    """Mass and momentum (1 + gdim columns), by ids: of_nodes (n, 1 + gdim), flying ones too, and of_cells (m, 1 + gdim) to tell
+    which of the cells are as they were. The density is 1 where the nodes have none (field ``density``)."""
 
+    id: Array
+    of_nodes: Array
     cells: Array
     of_cells: Array
-    flying: Array
-    of_flying: Array
 
     @classmethod
-    def of(cls, cloud: Cloud, cells: Array) -> Momenta:
-        flies = cloud.carried > 0
-        share = volumes(cloud.x, cells)[:, None] * cloud.v[cells].mean(axis=1)
-        return cls(cloud.id[cells], share, cloud.id[flies], cloud.carried[flies, None] * cloud.v[flies])
+    def of(cls, cloud: Cloud, cells: Array) -> Carried:
+        amount = np.column_stack([np.ones(cloud.n), cloud.v])
+        if "density" in cloud.fields:
+            amount *= cloud.fields["density"][:, None]
+        share = volumes(cloud.x, cells)[:, None] * amount[cells].mean(axis=1)
+        return cls(cloud.id, lumped(cloud, cells)[:, None] * amount, cloud.id[cells], share)
 
 
-def balance(cloud: Cloud, tessellation: Tessellation, before: Momenta, links: Array, blocked: Array) -> None:
-    """Change velocities so that each patch of cells that were made anew has the momentum that was there before.
+def balance(cloud: Cloud, tessellation: Tessellation, before: Carried, links: Array, blocked: Array) -> None:
+    """Change velocities so that each patch of cells that were made anew has the momentum that was there before, and densities, where
+    nodes have them, so that it has the mass.
 
     A patch is cells, old and new, that hang together by nodes. links (k, 2): ids of nodes that belong to one patch.
     blocked (n, gdim) bool: components that obstacles prescribe.
     """
-    now = Momenta.of(cloud, tessellation.cells)
+    now = Carried.of(cloud, tessellation.cells)
     old, new = np.ones(len(before.cells), bool), np.ones(len(now.cells), bool)
     same = np.flatnonzero(tessellation.parents >= 0)
     same = same[(before.of_cells[tessellation.parents[same]] == now.of_cells[same]).all(axis=1)]
@@ -174,22 +179,24 @@ def balance(cloud: Cloud, tessellation: Tessellation, before: Momenta, links: Ar
     pairs = np.concatenate([np.column_stack([g[:, 0], g[:, k]]) for g in groups for k in range(1, g.shape[1])] + [links])
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     patches, patch = connected_components(graph, directed=False)
-    missing = np.zeros((patches, cloud.x.shape[1]))
-    for sign, nodes, momenta in (
-        (1, before.cells[old][:, 0], before.of_cells[old]),
-        (1, before.flying, before.of_flying),
-        (-1, now.cells[new][:, 0], now.of_cells[new]),
-        (-1, now.flying, now.of_flying),
-    ):
-        np.add.at(missing, patch[nodes], sign * momenta)
-    mass = lumped(cloud, tessellation.cells)
     touched = np.zeros(n, bool)
     touched[pairs] = True
+
+    def summed(whole: Carried, column: int) -> Array:
+        who = touched[whole.id]
+        return np.bincount(patch[whole.id[who]], whole.of_nodes[who, column], patches)
+
+    mine = patch[cloud.id]
+    if "density" in cloud.fields:
+        ratio = summed(before, 0) / np.maximum(summed(now, 0), 1e-300)
+        cloud.fields["density"] *= np.where(touched[cloud.id], ratio[mine], 1.0)
+        now = Carried.of(cloud, tessellation.cells)
+    mass = now.of_nodes[:, 0]
     for d in range(cloud.x.shape[1]):
         takes = touched[cloud.id] & ~blocked[:, d] & (mass > 0)
-        where = patch[cloud.id[takes]]
-        total = np.bincount(where, mass[takes], patches)
-        cloud.v[takes, d] += (missing[:, d] / np.where(total > 0, total, 1.0))[where]
+        total = np.bincount(mine[takes], mass[takes], patches)
+        change = (summed(before, 1 + d) - summed(now, 1 + d)) / np.where(total > 0, total, 1.0)
+        cloud.v[takes, d] += change[mine[takes]]
 
 
 def tessellate(cloud: Cloud, old: Tessellation, tessellator: Tessellator, rules: Rules) -> Tessellation:
@@ -230,13 +237,20 @@ def remesh(
 ) -> Tessellation:
     """New nodes, boundary and cells after a step; dt (s) is the step to come. Mutates the cloud.
 
-    ``parents`` of the answer are rows of the tessellation that was given. Volume is kept but for what the budget says, momentum
-    patch by patch (components at obstacles excepted).
+    ``parents`` of the answer are rows of the tessellation that was given. What has passed an outlet goes. Volume is kept but for what
+    the budget says, momentum patch by patch (components at obstacles excepted), and so is the mass of nodes that have a density
+    (field ``density``).
     """
-    start, booked = Amount.of(cloud, tessellation.cells, budget.gravity), budget.total()
-    before = Momenta.of(cloud, tessellation.cells)
+    booked = budget.total()
+    before, flying = Carried.of(cloud, tessellation.cells), cloud.carried > 0
     facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
     ids, x = cloud.id, cloud.x
+    left = useless
+    if leaving(cloud, obstacles):
+        facets, left, lost = let_out(cloud, tessellation.cells, facets, obstacles, budget)
+        before.of_cells[:, 1:] -= lost
+        np.subtract.at(before.of_nodes[:, 1:], tessellation.cells, lost[:, None] / 3)
+        before.of_nodes[left[: len(flying)] & flying] = 0.0
     if rules.boundary:
         facets, useless, links = change_boundary(cloud, facets, obstacles, rules, dt, budget)
     elif rules.skin:
@@ -245,6 +259,7 @@ def remesh(
     else:
         budget.owed = budget.owed[:0]
     links = cloud.id[links]
+    useless[: len(left)] |= left
     gone = useless | removable(cloud, tessellation.cells, facets, obstacles.held(cloud), rules)
     whole = ~(gone | (cloud.carried > 0))[tessellation.cells].any(axis=1)
     rows = np.flatnonzero(whole)
@@ -273,8 +288,7 @@ def remesh(
         due = swept(places, ids[tessellation.facets], cloud.id[new.facets]) * [1, 1, 1, -1]
         give_back(cloud, new.cells, new.facets, touch.count, np.concatenate([budget.owed, due]), budget)
     balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
-    change = Amount.of(cloud, new.cells, budget.gravity) - start - (budget.total() - booked)
-    budget.book("resample", change)
+    budget.book("resample", budget.look(cloud, new.cells) - (budget.total() - booked))
     return new
 
 

@@ -34,22 +34,23 @@ def split(cloud: Cloud, facets: Array, coarse: float) -> Array:
     """
     while True:
         length = lengths(cloud, facets)
-        edge = length.argmax(axis=1)
-        rows = np.arange(len(facets))
-        if not (length[rows, edge] > coarse).any():
+        if not (length > coarse).any():
             return facets
-        a, b, c = (facets[rows, (edge + k) % 3] for k in range(3))
-        every = np.sort(np.stack([facets, np.roll(facets, -1, axis=1)], axis=2), axis=2) @ np.array([cloud.n, 1])
-        keys, inverse = np.unique(every, return_inverse=True)
-        inverse = inverse.reshape(every.shape)
-        longest = np.bincount(inverse[rows, edge], minlength=len(keys)) == np.bincount(inverse.ravel(), minlength=len(keys))
-        cut = longest[inverse[rows, edge]] & (length[rows, edge] > coarse)
-        if not cut.any():  # edges of equal length in a ring
-            cut = (inverse[rows, edge] == inverse[length.max(axis=1).argmax(), edge[length.max(axis=1).argmax()]]) & (edge >= 0)
-        chosen, which = np.unique(inverse[rows, edge][cut], return_inverse=True)
-        ends = np.stack(np.divmod(keys[chosen], cloud.n), axis=1)
-        middle = cloud.add(ends, np.full(ends.shape, 0.5))[which]
-        a, b, c = a[cut], b[cut], c[cut]
+        ends = np.sort(np.stack([facets, np.roll(facets, -1, axis=1)], axis=2), axis=2)
+        keys, first, edges, uses = np.unique(
+            ends @ np.array([cloud.n, 1]), return_index=True, return_inverse=True, return_counts=True
+        )
+        edges = edges.reshape(facets.shape)
+        rank = np.empty(len(keys), np.int64)
+        rank[np.argsort(length.ravel()[first], kind="stable")] = np.arange(len(keys))  # no two are equally long
+        longest = rank[edges].argmax(axis=1)
+        rows = np.arange(len(facets))
+        edge = edges[rows, longest]
+        cut = (np.bincount(edge, minlength=len(keys)) == uses)[edge] & (length[rows, longest] > coarse)
+        chosen, which = np.unique(edge[cut], return_inverse=True)
+        parents = np.stack(np.divmod(keys[chosen], cloud.n), axis=1)
+        middle = cloud.add(parents, np.full(parents.shape, 0.5))[which]
+        a, b, c = (facets[rows, (longest + k) % 3][cut] for k in range(3))
         halves = [np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)]
         facets = np.concatenate([facets[~cut], *halves])
 
@@ -69,6 +70,15 @@ def collapse(cloud: Cloud, facets: Array, held: Array, fine: float) -> tuple[Arr
 
 
 @kernel
+def vector_area(x, a, b, c):  # type: ignore[no-untyped-def]
+    """Twice the vector area (m2) of a triangle, and its length."""
+    ux, uy, uz = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+    vx, vy, vz = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return nx, ny, nz, np.sqrt(nx * nx + ny * ny + nz * nz)
+
+
+@kernel
 def shrink(x, facets, held, pairs):  # type: ignore[no-untyped-def]
     """Collapse the edges ``pairs`` (j, 2), in this order, no two that share a neighbour; facets that go get -1. Returns who went."""
     gone, near = np.zeros(len(x), np.bool_), np.zeros(len(x), np.bool_)
@@ -81,7 +91,8 @@ def shrink(x, facets, held, pairs):  # type: ignore[no-untyped-def]
             legal = True
             for o in range(held.shape[1]):
                 legal &= held[keep, o] or not held[drop, o]
-            link[:] = 0
+            for i in range(len(x)):
+                link[i] = 0
             for f in range(len(facets)):
                 has_keep = has_drop = False
                 for i in range(3):
@@ -106,7 +117,8 @@ def shrink(x, facets, held, pairs):  # type: ignore[no-untyped-def]
                     has_keep |= facets[f, i] == keep
                     has_drop |= facets[f, i] == drop
                 if has_keep and has_drop:
-                    facets[f, :] = -1
+                    for i in range(3):
+                        facets[f, i] = -1
                 elif has_drop:
                     for i in range(3):
                         if facets[f, i] == drop:
@@ -117,17 +129,11 @@ def shrink(x, facets, held, pairs):  # type: ignore[no-untyped-def]
 
 @kernel
 def upright(x, facet, drop, keep):  # type: ignore[no-untyped-def]
-    """Whether a facet looks the same way as before once its node ``drop`` is at ``keep``."""
-    before, after = np.zeros(3), np.zeros(3)
-    for i in range(3):
-        j = (i + 1) % 3
-        a, b = facet[i], facet[j]
-        c, d = (keep if a == drop else a), (keep if b == drop else b)
-        for k in range(3):
-            l, m = (k + 1) % 3, (k + 2) % 3
-            before[k] += x[a, l] * x[b, m] - x[a, m] * x[b, l]
-            after[k] += x[c, l] * x[d, m] - x[c, m] * x[d, l]
-    return (before * after).sum() > 0.3 * np.sqrt((before**2).sum() * (after**2).sum())
+    """Whether a facet looks much the same way as before once its node ``drop`` is at ``keep``."""
+    a, b, c = facet[0], facet[1], facet[2]
+    ux, uy, uz, before = vector_area(x, a, b, c)
+    vx, vy, vz, after = vector_area(x, keep if a == drop else a, keep if b == drop else b, keep if c == drop else c)
+    return ux * vx + uy * vy + uz * vz > 0.3 * before * after
 
 
 def swept(x: Array, old: Array, new: Array) -> Array:
@@ -169,7 +175,9 @@ def give_back(cloud: Cloud, cells: Array, facets: Array, level: Array, due: Arra
     starts = np.searchsorted(facets.ravel()[order], np.arange(cloud.n + 1))
     owed = []
     for *at, volume in due:
-        rest = float(give(x, facets, starts, order // 3, room, np.array(at), volume))
+        free = np.flatnonzero(room > 0)
+        near = free[np.argsort(((x[free] - at) ** 2).sum(axis=1), kind="stable")]
+        rest = float(give(x, facets, starts, order // 3, room, near, volume))
         budget.book("restore", budget.made(volume - rest, np.array(at)))
         if rest:
             owed.append((*at, rest))
@@ -184,49 +192,45 @@ def least_height(x, cells):  # type: ignore[no-untyped-def]
     for c in range(len(cells)):
         six = six_volumes(x, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         for k in range(4):
-            p, q, r = x[cells[c, (k + 1) % 4]], x[cells[c, (k + 2) % 4]], x[cells[c, (k + 3) % 4]]
-            twice = np.sqrt((np.cross(q - p, r - p) ** 2).sum())
+            twice = vector_area(x, cells[c, (k + 1) % 4], cells[c, (k + 2) % 4], cells[c, (k + 3) % 4])[3]
             least[cells[c, k]] = min(least[cells[c, k]], six / max(twice, 1e-300))
     return least
 
 
 @kernel
-def area(x, facets, around, i):  # type: ignore[no-untyped-def]
-    """d volume / d x of node i (3,) (m2): a third of the vector area of its facets, whatever its own place is."""
-    total, size = np.zeros(3), 0.0
+def slope(x, facets, around):  # type: ignore[no-untyped-def]
+    """d volume / d x of a node (m2), a third of the vector area of its facets ``around``, wherever it is; and its length, or 0."""
+    nx, ny, nz, total = 0.0, 0.0, 0.0, 0.0
     for f in around:
-        a, b, c = facets[f]
-        normal = np.cross(x[b] - x[a], x[c] - x[a]) / 6.0
-        total += normal
-        size += np.sqrt((normal**2).sum())
-    if (total**2).sum() < 0.25 * size**2:  # a spike, or where bodies touch
-        total[:] = 0.0
-    return total
+        x1, y1, z1, size = vector_area(x, facets[f, 0], facets[f, 1], facets[f, 2])
+        nx, ny, nz, total = nx + x1 / 6, ny + y1 / 6, nz + z1 / 6, total + size / 6
+    size = np.sqrt(nx * nx + ny * ny + nz * nz)
+    return nx, ny, nz, size if size > 0.5 * total else 0.0  # none of a spike, or where bodies touch
 
 
 @kernel
-def give(x, facets, starts, around, room, at, volume):  # type: ignore[no-untyped-def]
-    """Share the volume (m3) among the nearest nodes that have room, from which is taken what they go. Returns what found none."""
-    free = np.flatnonzero(room > 0.0)
-    order = np.argsort(((x[free] - at) ** 2).sum(axis=1))
-    nodes, spaces, total = np.empty(len(free), np.int64), np.empty(len(free)), 0.0
-    count = 0
-    for i in free[order]:
+def give(x, facets, starts, around, room, near, volume):  # type: ignore[no-untyped-def]
+    """Share the volume (m3) among the first of the nodes ``near`` (k,) that have room; what they go is taken from it.
+
+    Returns what found none.
+    """
+    spaces, total, count = np.empty(len(near)), 0.0, 0
+    for i in near:
         if count >= SHARERS and total >= 2.0 * abs(volume):
             break
-        normal = area(x, facets, around[starts[i] : starts[i + 1]], i)
-        nodes[count], spaces[count] = i, room[i] * np.sqrt((normal**2).sum())
+        spaces[count] = room[i] * slope(x, facets, around[starts[i] : starts[i + 1]])[3]
         total += spaces[count]
         count += 1
     rest = volume
     for k in range(count):
-        i = nodes[k]
-        normal = area(x, facets, around[starts[i] : starts[i + 1]], i)
-        size = np.sqrt((normal**2).sum())
+        i = near[k]
+        # as the moves before have left it, so that the sum is exact
+        nx, ny, nz, size = slope(x, facets, around[starts[i] : starts[i + 1]])
         if size == 0.0 or spaces[k] == 0.0:
             continue
         part = volume * (spaces[k] / total) if total > abs(volume) else np.sign(volume) * spaces[k]
-        x[i] += part / size * (normal / size)  # with the area as the moves before have left it, so that the sum is exact
+        way = part / size**2
+        x[i, 0], x[i, 1], x[i, 2] = x[i, 0] + way * nx, x[i, 1] + way * ny, x[i, 2] + way * nz
         rest -= part
         room[i] = max(room[i] - abs(part) / size, 0.0)
     return rest if abs(rest) > 1e-13 * abs(volume) else 0.0

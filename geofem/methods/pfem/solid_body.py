@@ -41,7 +41,7 @@ class Body:
         self._system: System | None = None
         self.configure()
         self.start = {"volume": self.volume()}
-        self.mass, self._mass_region = self.lumped(), cloud.region
+        self.mass = self.lumped()
         self.start["mass"] = float(self.mass.sum())
 
     # --- geometry -----------------------------------------------------------------------------------------------------
@@ -62,18 +62,13 @@ class Body:
             steady = 2.0 * self.laws.lame[:, 1] * self.stabilisation
             self._hold = deviatoric(steady)
 
-    def renew(self, cells: Array, facets: Array, history: History) -> None:
-        """Take other cells, on nodes that may be others, with their history. The mass of each region stays what it was."""
-        self.cells, self.facets, self.history = cells, facets, history
+    def renew(self, cells: Array, facets: Array, history: History, mass: Array) -> None:
+        """Take other cells, on nodes that may be others, with their history and masses (n,) (kg/m)."""
+        self.cells, self.facets, self.history, self.mass = cells, facets, history, mass
         if self._system is not None:
             self._system.destroy()
             self._system = None
-        before = np.bincount(self._mass_region, self.mass, len(self.scene.regions))
         self.configure()
-        mass = self.lumped()
-        after = np.bincount(self.cloud.region, mass, len(self.scene.regions))
-        self.mass = mass * np.divide(before, after, out=np.ones_like(after), where=after > 0)[self.cloud.region]
-        self._mass_region = self.cloud.region
 
     @property
     def system(self) -> System:
@@ -177,9 +172,7 @@ class Body:
 
     def restore(self, state: dict[str, Array]) -> None:
         answers.restore_cloud(self.cloud, state)
-        self._mass_region, self.mass = self.cloud.region, state["mass"]
-        self.renew(state["cells"], state["facets"], History(state["F"], state["state"], state["of"]))
-        self.mass = state["mass"]
+        self.renew(state["cells"], state["facets"], History(state["F"], state["state"], state["of"]), state["mass"])
 
     # --- supports and loads ---------------------------------------------------------------------------------------------
     def supported(self) -> list[Array]:

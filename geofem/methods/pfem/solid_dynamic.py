@@ -91,6 +91,7 @@ class Dynamic:
         f[:, [0, 3]] = 1.0
         history = body.history
         state, region, F, work = history.state.copy(), history.region, history.F, np.zeros(d)
+        off = np.zeros((d, 2))
         P = self._stress()
         lo, hi = share(d, body.comm)
         hold = 2.0 * body.stabilisation * laws.lame[:, 1] if body.nodal else np.zeros(len(laws.laws))
@@ -107,14 +108,14 @@ class Dynamic:
             if len(elements):
                 solid_interface.add_contact(elements, cloud.x, u, spring, cloud.size, force)
             if body.stabilised:
-                solid_explicit.add_hold(body.cells, tri.gradient, tri.volume, hold_cells, du, force)
+                self.internal += solid_explicit.add_hold(body.cells, tri.gradient, tri.volume, hold_cells, du, force)
             self.external += solid_explicit.advance(
                 u, du, cloud.v, body.mass, force, (1 - s) * loads[0] + s * loads[1], h, fixed, given, normal, distance, drift,
                 friction, impulse, held,
             )  # fmt: skip
             for j, update in enumerate(updates):
                 bad = update(domains.first, domains.node, domains.gradient, domains.bulk, u, F, f, state, region, j, laws.par[j],
-                             h, hold[j], lo, hi, P, work)  # fmt: skip
+                             h, hold[j], lo, hi, P, off, work)  # fmt: skip
                 if bad >= 0:
                     break
             if body.comm.size > 1:

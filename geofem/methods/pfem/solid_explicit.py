@@ -25,10 +25,11 @@ def make_update(point: Callable[..., Any]) -> Callable[..., Any]:
     """The step of a law at the domains of region k among those from lo to hi, see ``update``; point: see ``materials.Kernels``."""
 
     @njit(**OPTIONS)
-    def update(first, node, gradient, bulk, u, Fn, f, state, region, k, par, dt, hold, lo, hi, P, work):  # type: ignore[no-untyped-def]
+    def update(first, node, gradient, bulk, u, Fn, f, state, region, k, par, dt, hold, lo, hi, P, off, work):  # type: ignore[no-untyped-def]
         """Take u (n, 2), the displacement since configuration n, to the stresses P (d, 4) on it; f (d, 4), the gradient I + du/dx of
-        the step before, and the state are replaced. hold: the modulus that is taken off, see ``Body``. work (d,): adds that of the
-        stresses per volume. Returns -1, or the first domain that has turned inside out."""
+        the step before, and the state are replaced. hold: the modulus of what is taken off, see ``Body``: of the deviator of the
+        step, off (d, 2), xx and xy. work (d,): adds that of the material's stresses per volume, less that of what is off. Returns -1,
+        or the first domain that has turned inside out."""
         F, old, tau, new = np.empty(5), np.empty(5), np.empty(4), np.empty(4)
         for d in range(lo, hi):
             if region[d] != k:
@@ -48,8 +49,13 @@ def make_update(point: Callable[..., Any]) -> Callable[..., Any]:
             da, db, dc, de = a - p, b - q, c - r, e - t
             xx, xy = scale * (tau[0] * e - tau[3] * b), scale * (tau[3] * a - tau[0] * c)
             yx, yy = scale * (tau[3] * e - tau[1] * b), scale * (tau[1] * a - tau[3] * c)
-            work[d] += 0.5 * ((P[d, 0] + xx) * da + (P[d, 1] + xy) * db + (P[d, 2] + yx) * dc + (P[d, 3] + yy) * de)
+            m, s = off[d, 0], off[d, 1]
+            work[d] += 0.5 * (
+                (P[d, 0] + m + xx) * da + (P[d, 1] + s + xy) * db + (P[d, 2] + s + yx) * dc + (P[d, 3] - m + yy) * de
+            )
             mean, shear = 0.5 * hold * (da - de), 0.5 * hold * (db + dc)
+            work[d] -= mean * (da - de) + shear * (db + dc)
+            off[d, 0], off[d, 1] = mean, shear
             P[d, 0], P[d, 1], P[d, 2], P[d, 3] = xx - mean, xy - shear, yx - shear, yy + mean
             f[d, 0], f[d, 1], f[d, 2], f[d, 3] = a, b, c, e
         return -1
@@ -58,8 +64,12 @@ def make_update(point: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @njit(**OPTIONS)
-def add_hold(cells: Array, gradient: Array, volume: Array, hold: Array, du: Array, force: Array) -> None:
-    """Add the forces with which triangles resist the deviator of the gradient of du (n, 2), by the moduli hold (m,)."""
+def add_hold(cells: Array, gradient: Array, volume: Array, hold: Array, du: Array, force: Array) -> float:
+    """Add the forces with which triangles resist the deviator of the gradient of du (n, 2), by the moduli hold (m,).
+
+    Returns the work that such forces take in a step like that (J/m).
+    """
+    work = 0.0
     for c in range(len(cells)):
         xx = xy = yx = yy = 0.0
         for k in range(3):
@@ -70,11 +80,13 @@ def add_hold(cells: Array, gradient: Array, volume: Array, hold: Array, du: Arra
             yx += du[a, 1] * gx
             yy += du[a, 1] * gy
         mean, shear = 0.5 * hold[c] * volume[c] * (xx - yy), 0.5 * hold[c] * volume[c] * (xy + yx)
+        work += mean * (xx - yy) + shear * (xy + yx)
         for k in range(3):
             a = cells[c, k]
             gx, gy = gradient[3 * c + k, 0], gradient[3 * c + k, 1]
             force[a, 0] += mean * gx + shear * gy
             force[a, 1] += shear * gx - mean * gy
+    return work
 
 
 @njit(**OPTIONS)

@@ -1,7 +1,8 @@
 """New nodes and triangles for solids when the mesh asks for them: on rank 0, and then the same everywhere.
 
 History around nodes stays with its nodes, and a new node has the mean of those it was made from. History in triangles is copied where
-the triangle is the same, else taken from the nearest old one, or averaged by way of the nodes, which wipes it out in time.
+the triangle is the same, else taken from the nearest old one, or averaged by way of the nodes, which wipes it out in time. Mass stays
+with its nodes too: grains that have come apart fill more volume with it, which is no reason to have more.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import numpy as np
 from geofem.core.mpi import on_root
 from geofem.cost import phase
 from geofem.methods.pfem import resample, transfer
-from geofem.methods.pfem.budget import Budget
+from geofem.methods.pfem.budget import Budget, lumped
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Obstacles
 from geofem.methods.pfem.solid_body import Body
@@ -54,32 +55,36 @@ class Remesher:
             made = body.comm.bcast(on_root(body.comm, lambda: self._mended(dt)))
             if made is None:
                 return False
-            body.cloud, self.tessellation, history = made
-            body.renew(self.tessellation.cells, self.tessellation.facets, history)
+            body.cloud, self.tessellation, history, mass = made
+            body.renew(self.tessellation.cells, self.tessellation.facets, history, mass)
             self.count += 1
             return True
 
-    def _mended(self, dt: float) -> tuple[Cloud, Tessellation, History] | None:
+    def _mended(self, dt: float) -> tuple[Cloud, Tessellation, History, Array] | None:
         body, cloud = self.body, self.body.cloud
         if not resample.needs(cloud, self.tessellation, SOLID, self.budget, dt):
             return None
         cloud.fields["held"] = self._touching(cloud)
         history, old = body.history, self.tessellation
+        volume = lumped(cloud, old.cells)
+        cloud.fields["density"] = np.divide(body.mass, volume, out=np.zeros(cloud.n), where=volume > 0)
         if body.nodal:
             cloud.fields |= {"F": history.F, "state": history.state}
         elif self.transfer == "average":
             for name, values in (("F", history.F), ("state", history.state)):
                 cloud.fields[name] = transfer.to_nodes(values, old.cells, body.triangles.volume, cloud.n)[0]
         places = cloud.x[old.cells].mean(axis=1)
+        self.budget.look(cloud, old.cells)
         new = resample.remesh(cloud, old, self.obstacles, self.tessellator, SOLID, self.budget, dt)
+        mass = cloud.fields.pop("density") * lumped(cloud, new.cells)
         if body.nodal:
-            return cloud, new, History(cloud.fields.pop("F"), cloud.fields.pop("state"), cloud.region)
+            return cloud, new, History(cloud.fields.pop("F"), cloud.fields.pop("state"), cloud.region), mass
         if self.transfer == "copy":
             centres = cloud.x[new.cells].mean(axis=1)
             F, state = (transfer.copied(a, new.parents, places, centres) for a in (history.F, history.state))
         else:
             F, state = (cloud.fields.pop(name)[new.cells].mean(axis=1) for name in ("F", "state"))
-        return cloud, new, History(F, state, cloud.region[new.cells[:, 0]])
+        return cloud, new, History(F, state, cloud.region[new.cells[:, 0]]), mass
 
     def resume(self) -> None:
         """Take up a body whose cells were restored."""
