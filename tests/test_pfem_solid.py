@@ -1,5 +1,7 @@
 """Solids by the particle finite element method: domains, patch, footing."""
 
+import inspect
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from scipy.spatial import Delaunay
 import geofem  # noqa: F401
 from geofem import scenes
 from geofem.methods.pfem import Pfem, solid_domains
+from geofem.methods.pfem.solid_model import build_solid
 
 
 def random_mesh(seed, k=40):
@@ -43,9 +46,16 @@ def test_domains_see_a_linear_field_exactly_and_push_in_balance(seed):
         assert np.allclose(force.sum(axis=0), 0.0, atol=1e-12)
 
 
+def build(scene, **knobs):
+    """The solid of a scene, also of mu(I), which ``Pfem.build`` would take as a fluid; its defaults."""
+    known = inspect.signature(build_solid).parameters
+    defaults = {name: value for name, value in Pfem.build.__kwdefaults__.items() if name in known}
+    return build_solid(scene, **{**defaults, **knobs})
+
+
 def solve(scene, **knobs):
     """The model at the end of its run, and the samples of its probes."""
-    model = Pfem().build(scene, **knobs)
+    model = build(scene, **knobs)
     history = {"t": [], **{p.name: [] for p in scene.probes}}
     while model.t < scene.t_end - 1e-9:
         model.step(min(model.dt(), scene.t_end - model.t))
@@ -117,7 +127,7 @@ def test_column_collapses():
 def test_checkpoint(name):
     """A model that takes up the state of another one goes on as that does."""
     scene = scenes.get(name)()
-    first, second = Pfem().build(scene, n=4), Pfem().build(scene, n=4)
+    first, second = build(scene, n=4), build(scene, n=4)
     for _ in range(12):
         first.step(first.dt())
     second.restore({key: np.array(value) for key, value in first.state().items()})
@@ -133,7 +143,7 @@ def test_checkpoint(name):
 def test_bodies_touch_by_the_mesh_between_them():
     """Two discs are pressed together and part: momentum stays to rounding, most of the energy comes back."""
     scene = scenes.get("collision")()
-    model = Pfem().build(scene, n=14)
+    model = build(scene, n=14)
     before, least = model.energy()["kinetic"], np.inf
     while model.t < 3.0:
         model.step(model.dt())
