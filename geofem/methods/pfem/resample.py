@@ -275,7 +275,7 @@ def remesh(
         number = np.cumsum(used) - 1
         cloud.keep(used)
         new = Tessellation(number[new.cells], number[new.facets], new.parents)
-    new = Tessellation(new.cells, new.facets, np.where(new.parents >= 0, rows[new.parents], -1))
+    new = Tessellation(new.cells, new.facets, np.append(rows, -1)[new.parents])  # -1 stays -1
     touch = obstacles.touch(cloud)
     balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
     budget.book("resample", budget.look(cloud, new.cells) - (budget.total() - booked))
