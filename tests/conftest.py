@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import logging
 import os
 import subprocess
 import sys
@@ -10,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-import geofem  # noqa: F401 - caps the threads before a test loads numpy or numba
+import geofem.__main__  # caps the threads before a test loads numpy or numba
 
 ROOT = Path(__file__).parents[1]
 LAUNCHER = Path(sys.executable).parent / "mpirun"
@@ -36,13 +39,35 @@ def run_cli() -> Callable[..., Done]:
     return call
 
 
+@pytest.fixture
+def cli_here(capfd: pytest.CaptureFixture[str]) -> Callable[..., Done]:
+    """``run_cli`` in this process, which has loaded already what a command that ends before it solves anything would load first."""
+
+    def call(*words: str | Path) -> Done:
+        level = logging.getLogger("geofem").level
+        capfd.readouterr()
+        typed = [str(word) for word in words]
+        status = geofem.__main__.main(typed)
+        logging.getLogger("geofem").setLevel(level)
+        return Done(typed, status, *capfd.readouterr())
+
+    return call
+
+
 @pytest.fixture(scope="session")
 def mpirun() -> Callable[..., str]:
-    """``mpirun(2, code)``: what n ranks print that run a piece of Python, or ``python -m ...`` for words. Fails if they do."""
+    """``mpirun(2, code)``: what n ranks print that run a piece of Python, or ``python -m ...`` for words. Fails if they do.
+
+    A piece of Python runs on one rank in this process: dolfinx and the compiled kernels are loaded already.
+    """
 
     def call(n: int, *words: str, timeout: float = 600) -> str:
         if not LAUNCHER.exists():
             pytest.skip(f"no mpirun beside {sys.executable}")
+        if n == 1 and len(words) == 1:
+            with contextlib.redirect_stdout(io.StringIO()) as told:
+                exec(words[0], {"__name__": "__main__"})
+            return told.getvalue()
         python = [sys.executable, "-c", words[0]] if len(words) == 1 else [sys.executable, *words]
         done = start(str(LAUNCHER), "-n", str(n), *python, timeout=timeout)
         assert done.returncode == 0, f"status {done.returncode}\n{done.stdout}\n{done.stderr}"

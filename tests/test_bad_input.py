@@ -120,9 +120,9 @@ def test_group_that_the_mesh_file_lacks_is_named(tmp_path: Path) -> None:
 
 # --- the command line and its folder ----------------------------------------------------------------------------------
 @pytest.mark.parametrize("setting", ["n=0", "order=4", "grading=0.5", "ordr=2", "variant=Z"])
-def test_mistake_is_one_line_exit_2_and_an_empty_folder(run_cli: Callable[..., Done], tmp_path: Path, setting: str) -> None:
+def test_mistake_is_one_line_exit_2_and_an_empty_folder(cli_here: Callable[..., Done], tmp_path: Path, setting: str) -> None:
     out = tmp_path / "out"
-    done = run_cli("run", "cook", "--method", "fem", "--set", setting, "--out", out, "--json")
+    done = cli_here("run", "cook", "--method", "fem", "--set", setting, "--out", out, "--json")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
     assert setting.partition("=")[0] in done.stderr
     assert not out.exists() or not list(out.iterdir())

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from conftest import LAUNCHER, Done, start
 
+import geofem
 from geofem import __main__ as cli
 from geofem.mistake import Mistake
 from geofem.result import KEYS, Result
@@ -115,8 +116,8 @@ def test_malformed_knob_is_a_mistake(text: str) -> None:
         (["stability", "no-such-map"], "no-such-map"),
     ],
 )
-def test_mistake_in_the_words_is_one_line(run_cli: Cli, words: list[str], names: str) -> None:
-    assert names in mended(run_cli(*words))
+def test_mistake_in_the_words_is_one_line(cli_here: Cli, words: list[str], names: str) -> None:
+    assert names in mended(cli_here(*words))
 
 
 @pytest.mark.parametrize(
@@ -128,9 +129,9 @@ def test_mistake_in_the_words_is_one_line(run_cli: Cli, words: list[str], names:
         (["compare", "cok", "--methods", "fem"], "did you mean 'cook'"),
     ],
 )
-def test_unknown_name_is_one_line_with_the_nearest(run_cli: Cli, tmp_path: Path, words: list[str], names: str) -> None:
+def test_unknown_name_is_one_line_with_the_nearest(cli_here: Cli, tmp_path: Path, words: list[str], names: str) -> None:
     extra = ["--out", str(tmp_path)] if words[0] == "compare" else []
-    assert names in mended(run_cli(*words, *extra))
+    assert names in mended(cli_here(*words, *extra))
 
 
 # --- what is answered -------------------------------------------------------------------------------------------------
@@ -232,8 +233,8 @@ def test_foreign_mpirun_is_a_mistake() -> None:
 
 
 # --- real runs --------------------------------------------------------------------------------------------------------
-def test_run_prints_one_row_with_error_and_cost(run_cli: Cli) -> None:
-    done = run_cli(*COOK, "--json")
+def test_run_prints_one_row_with_error_and_cost_and_keeps_it_in_out(run_cli: Cli, tmp_path: Path) -> None:
+    done = run_cli(*COOK, "--json", "--out", tmp_path)
     row = one_line(done)
     assert done.returncode == 0 and set(row) == set(KEYS)
     assert (row["scene"], row["method"], row["status"], row["ranks"]) == ("cook", "fem", "ok", 1)
@@ -242,6 +243,9 @@ def test_run_prints_one_row_with_error_and_cost(run_cli: Cli) -> None:
     # The definition of a relative error; both sides round once.
     assert row["error"]["uy"] == pytest.approx(abs(found - reference) / abs(reference), rel=1e-12)
     assert row["size"]["dofs"] > 0 and row["cost"]["cpu_s"] > 0 and row["work"]["linear"] >= 1
+    kept = Result.load(tmp_path)
+    assert kept.row == row
+    assert kept.history["t"][-1] == pytest.approx(1.0)
 
 
 def test_run_writes_nothing_without_out(run_cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,22 +255,15 @@ def test_run_writes_nothing_without_out(run_cli: Cli, tmp_path: Path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_run_keeps_its_result_in_out(run_cli: Cli, tmp_path: Path) -> None:
-    row = one_line(run_cli(*COOK, "--json", "--out", tmp_path))
-    kept = Result.load(tmp_path)
-    assert kept.row == row
-    assert kept.history["t"][-1] == pytest.approx(1.0)
-
-
 @pytest.mark.mpi
-def test_two_ranks_find_the_same(run_cli: Cli) -> None:
+def test_two_ranks_find_the_same() -> None:
     """The discrete problem does not depend on its partition; sums in another order differ by rounding times conditioning."""
-    alone = one_line(run_cli(*COOK, "--json"))
+    alone = geofem.run("cook", "fem", n=2)
     done = start(str(LAUNCHER), "-n", "2", sys.executable, "-m", "geofem", *COOK, "--json", timeout=600)
     together = one_line(done)
     assert together["ranks"] == 2
-    assert together["qoi"]["uy"] == pytest.approx(alone["qoi"]["uy"], rel=1e-9)
-    assert together["size"] == alone["size"]
+    assert together["qoi"]["uy"] == pytest.approx(alone.qoi["uy"], rel=1e-9)
+    assert together["size"] == alone.size
 
 
 def test_doctor_finds_nothing_here(run_cli: Cli) -> None:

@@ -15,7 +15,7 @@ from geofem import scenes
 
 SMALL = {
     "beam_drop": "fem=(1, 2), mpm=(4, 8), figure=Path(sys.argv[1])",
-    "dam_break": "n=8, setup='koshizuka', figure=Path(sys.argv[1])",
+    "dam_break": "n=6, setup='koshizuka', figure=Path(sys.argv[1])",
     "crack_growth": "n=30, da=0.15, figure=Path(sys.argv[1])",
     "heap_profiles": "n=6, figure=Path(sys.argv[1])",
     "column_collapse": "low=(1.0,), tall=(4.0,), figure=Path(sys.argv[1])",

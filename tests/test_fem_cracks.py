@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -228,29 +227,3 @@ def test_what_fem_cannot_do_with_cracks_is_said():
     through = replace(scene, cracks=(Crack(((-0.1, 0.5), (1.1, 0.5))),))
     with pytest.raises(Mistake, match="there is no tip"):
         solved(through).probe(scene.probes[0])
-
-
-@pytest.mark.mpi
-def test_every_number_of_ranks_gives_the_same(mpirun):
-    code = """
-import json, geofem
-from mpi4py import MPI
-
-def tell(*numbers):
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(numbers))
-
-for scene, knobs in (("williams", dict(n=8, angle=17.0)), ("inclined_crack", dict(n=8, beta=37.0))):
-    r = geofem.run(scene, "fem", **knobs)
-    tell(r.status, r.size, r.qoi, r.error, float(r.history["internal"][-1]))
-for step in geofem.grow("shear_edge_crack", "fem", n=8, da=0.35, until=0.7):
-    K = dict(KI=step.K[0, 0], KII=step.K[0, 1], x=step.tips[0, 0])
-    tell("grown", step.model.size(), K, {}, step.energy["external"])
-"""
-    alone = [json.loads(line) for line in mpirun(1, code).splitlines()]
-    for ranks in (2, 3):
-        for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
-            assert many[:2] == one[:2]
-            assert many[2] == pytest.approx(one[2], rel=1e-9, abs=1e-11)
-            assert many[3] == pytest.approx(one[3], rel=1e-7, abs=1e-10)
-            assert many[4] == pytest.approx(one[4], rel=1e-10)

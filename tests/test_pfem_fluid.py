@@ -1,11 +1,9 @@
-"""Fluids by pfem: rest, waves and a dam break against exact and measured values, conservation, ranks, and what the classical way loses."""
+"""Fluids by pfem: rest, waves and a dam break against exact and measured values, conservation, and what the classical way loses."""
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +14,8 @@ import geofem
 from geofem import Result, methods, scenes
 from geofem.methods.pfem import flow_solver
 from geofem.mistake import Mistake
-
-ROOT = Path(__file__).parents[1]
-LAUNCHER = Path(sys.executable).with_name("mpirun")
+from geofem.scene import Probe, Scene
+from geofem.scenes import hydrostatic
 
 
 def run(scene: str, **knobs: Any) -> Result:
@@ -45,6 +42,20 @@ def test_water_at_rest_stays_so_on_any_cloud_of_nodes(knobs: dict[str, Any]) -> 
     assert result.qoi["u_max"] < 1e-10 and result.error["pressure"] < 1e-12  # 1e-14, 1e-15
     # the same mesh, spaces and matrix pattern serve while nothing asks for others; in space slivers do
     assert result.work["meshes"] < 6 or result.knobs["dim"] == 3
+
+
+@pytest.mark.parametrize("walls, most", [("slide", 1e-12), ("fixed", 0.1)])
+def test_each_wall_bears_its_own_load(walls: str, most: float) -> None:
+    """Half the weight to either side and the weight on the floor, of a box as high as wide; nodes in corners share by the normals.
+
+    Particles of walls have no water between them in a corner: a slope stands there, which leans on both (measured: .06).
+    """
+    model = built("hydrostatic", 2, n=8, walls=walls)
+    weight = hydrostatic.DENSITY * hydrostatic.G
+    exact = {"floor": (0.0, 1.0), "low x": (0.5, 0.0), "high x": (-0.5, 0.0)}
+    found = np.array([[model.probe(Probe("", "reaction", of=name, component=i)) / weight for i in (0, 1)] for name in exact])
+    assert found == pytest.approx(np.array(list(exact.values())), abs=most)
+    assert found.sum(axis=0) == pytest.approx(model.flow.reaction.sum(axis=0) / weight, abs=1e-12)
 
 
 # --- waves ------------------------------------------------------------------------------------------------------------
@@ -87,7 +98,10 @@ def test_the_classical_way_makes_volume_out_of_nothing_and_sticks_to_its_walls()
     classical = {"tessellation": "alpha", "walls": "fixed", "configuration": "end"}
     result = run("dam_break", n=8, **classical)
     assert abs(result.checks["volume"]) > 0.03
-    assert abs(result.checks["volume_resample"]) > 10 * abs(result.checks["volume_lagrangian"])
+    # of .106 at the end, .085 by the new cells and .021 by the end configuration: the books are complete
+    assert abs(result.checks["volume_resample"]) > 3 * abs(result.checks["volume_lagrangian"])
+    parts = sum(value for name, value in result.checks.items() if name.startswith("volume_"))
+    assert parts == pytest.approx(result.checks["mass"], abs=1e-9)
     model = built("dam_break", 60, n=8, **classical)
     on_wall = model.cloud.fields["fixed"] > 0.5
     assert not model.cloud.v[on_wall].any()  # a layer of one cell that does not move with the water
@@ -109,42 +123,40 @@ def test_new_cells_compile_nothing() -> None:
     assert model.work["meshes"] > meshes and files() == before
 
 
-def test_large_systems_are_solved_by_blocks_in_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
+def thick(mu: float | None, setup: str) -> Scene:
+    """A dam break of another viscosity (Pa s)."""
+    scene = scenes.get("dam_break")(setup=setup)
+    region = scene.regions[0]
+    parameters = region.material.parameters | ({} if mu is None else {"mu": mu})
+    return replace(scene, regions=(replace(region, material=replace(region.material, parameters=parameters)),))
+
+
+@pytest.mark.parametrize(
+    "setup, mu, sizes", [("martin_moyce", None, (15, 60)), ("martin_moyce", 10.0, (15, 60)), ("solid", None, (4, 9))], ids=str
+)
+def test_large_systems_take_as_few_iterations_as_small_ones(
+    monkeypatch: pytest.MonkeyPatch, setup: str, mu: float | None, sizes: tuple[int, int]
+) -> None:
+    """FGMRES to 1e-8 on 500 and 7 600 nodes in the plane, 180 and 1 400 in space; measured: see benchmarks/pfem_linear.py."""
+    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", {2: 1, 3: 1})
+    monkeypatch.setattr(flow_solver, "TOLERANCE", 1e-8)
+    mean = []
+    for n in sizes:
+        model = methods.get("pfem").build(thick(mu, setup), n=n)
+        model.step(model.dt())
+        mean.append(model.work["linear"] / model.work["newton"])
+    assert max(mean) < 21 and mean[1] < 1.25 * mean[0] + 1
+
+
+def test_blocks_and_factors_solve_alike(monkeypatch: pytest.MonkeyPatch) -> None:
     exact = built("dam_break", 3, n=20)
-    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", 1)
+    monkeypatch.setattr(flow_solver, "SPLIT_DOFS", {2: 1, 3: 1})
     model = built("dam_break", 3, n=20)
-    assert model.work["linear"] < 30 * model.work["newton"]
-    assert np.abs(model.cloud.v - exact.cloud.v).max() < 1e-5 * np.abs(exact.cloud.v).max()
+    assert model.work["linear"] > 3 * model.work["newton"] and model.work["newton"] <= exact.work["newton"] + 1
+    assert np.abs(model.cloud.v - exact.cloud.v).max() < 1e-6 * np.abs(exact.cloud.v).max()
 
 
 # --- runs -------------------------------------------------------------------------------------------------------------
-TEN_STEPS = """
-import json, numpy as np
-from geofem import methods, scenes
-model = methods.get("pfem").build(scenes.get("dam_break")(), n=8)
-for _ in range(10):
-    model.step(model.dt())
-c = model.cloud
-if model.comm.rank == 0:
-    print(json.dumps([model.comm.size, model.work["remeshes"], c.n, np.hstack([c.x, c.v, c.p[:, None] / 1e3]).tolist()]))
-"""
-
-
-@pytest.mark.mpi
-@pytest.mark.slow
-def test_ten_steps_are_the_same_on_one_two_and_three_ranks() -> None:
-    found = []
-    for n in (1, 2, 3):
-        words = [str(LAUNCHER), "-n", str(n), sys.executable, "-c", TEN_STEPS]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=600, cwd=ROOT, check=False)
-        assert done.returncode == 0, done.stderr
-        found.append(json.loads(next(line for line in done.stdout.splitlines() if line.startswith("["))))
-    one = np.array(found[0][3])
-    for n, row in zip((2, 3), found[1:]):
-        assert row[0] == n and row[1:3] == found[0][1:3]
-        assert np.abs(np.array(row[3]) - one).max() < 1e-9 * np.abs(one).max()
-
-
 def test_a_run_goes_on_from_its_checkpoint() -> None:
     whole = built("dam_break", 30, n=6)
     half = built("dam_break", 15, n=6)
@@ -165,6 +177,8 @@ def test_a_run_goes_on_from_its_checkpoint() -> None:
         ("dam_break", {"n": 0}, "at least 1"),
         ("footing", {"cfl": 0.1}, "solids"),
         ("dam_break", {"stabilization": 1.0}, "stabilisation"),
+        ("square_drop", {"walls": "fixed"}, "must have walls"),
+        ("column_collapse", {"state": "points", "cured": True}, "cured"),
     ],
 )
 def test_mistakes_are_told_in_one_line(scene: str, knobs: dict[str, Any], word: str) -> None:

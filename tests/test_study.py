@@ -139,7 +139,7 @@ def test_every_ladder_has_a_folder_and_a_line_of_its_own() -> None:
     every = [one for group in LADDERS.values() for one in group]
     assert len({one.folder for one in every}) == len(every)
     assert len({(one.scene, str(one.scene_knobs), one.label) for one in every}) == len(every)
-    assert {one.method for one in SAMPLE} == {"fem", "mpm-linear", "mpm-cpdi"}
+    assert {one.method for one in SAMPLE} == {"fem", "mpm-linear", "mpm-cpdi", "pfem"}
 
 
 def test_default_ladders_know_their_methods() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -276,38 +275,6 @@ def test_what_xfem_cannot_do_is_said():
     for knobs in ({"enrichment": "all"}, {"n": 0}, {"radius": -1.0}, {"grading": 0.5}, {"steps": 0}):
         with pytest.raises(Mistake, match=next(iter(knobs))):
             xfem.build(scene, **knobs)
-
-
-@pytest.mark.mpi
-def test_every_number_of_ranks_gives_the_same(mpirun):
-    code = """
-import json, geofem
-from dataclasses import replace
-from geofem import methods, scenes
-from geofem.scene import Load
-from mpi4py import MPI
-
-def tell(*numbers):
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(numbers))
-
-for scene, knobs in (("williams", dict(n=12)), ("williams", dict(n=12, tip=(0.5, 0.5))), ("inclined_crack", dict(n=12))):
-    r = geofem.run(scene, "xfem", **knobs)
-    tell(r.status, r.size, r.qoi, r.error, float(r.history["internal"][-1]))
-scene = scenes.get("edge_crack")()
-model = methods.get("xfem").build(replace(scene, loads=(*scene.loads, Load("gravity", (0.1, -0.2)))), n=12)
-model.step(1.0)
-model.propagation.step(0.1)
-tip = model.paths()[0][-1].tolist()
-tell("grown", model.size(), {"x": tip[0], "y": tip[1], "J": model.cracked.release(0)}, {}, model.energy()["external"])
-"""
-    alone = [json.loads(line) for line in mpirun(1, code).splitlines()]
-    for ranks in (2, 3):
-        for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
-            assert many[:2] == one[:2]
-            assert many[2] == pytest.approx(one[2], rel=1e-8, abs=1e-10)
-            assert many[3] == pytest.approx(one[3], rel=1e-7, abs=1e-10)
-            assert many[4] == pytest.approx(one[4], rel=1e-9)
 
 
 @pytest.mark.parametrize("tip", [(0.5, 0.5), (0.499, 0.5), (0.5, 0.499), (0.501, 0.501)])

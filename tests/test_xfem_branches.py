@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -215,31 +214,3 @@ def test_a_branched_crack_releases_what_its_intensity_factors_say():
     for tip in range(3):
         K = model.cracked.intensity(tip)
         assert model.cracked.release(tip) == pytest.approx((K**2).sum() * (1 - 0.3**2), rel=1e-2)
-
-
-@pytest.mark.mpi
-def test_every_number_of_ranks_gives_the_same_branches(mpirun):
-    code = """
-import json
-from mpi4py import MPI
-from geofem import methods
-from geofem.scene import Box, Crack, Load, Material, Region, Scene, Support
-
-square = Region("square", Box((0.0, 0.0), (1.0, 1.0)), Material("linear_elastic", 1.0, {"E": 1.0, "nu": 0.3}))
-foot = Support("foot", lambda x: x[1] < 1e-9, (0, 1))
-pull = Load("traction", (0.3, 1.0), where=lambda x: x[1] > 1 - 1e-9)
-for cracks in ([((-0.1, 0.5), (0.7, 0.52)), ((0.5, 0.515), (0.52, 0.8))], [((0.2, 0.5), (0.8, 0.5)), ((0.5, 0.2), (0.5, 0.8))]):
-    scene = Scene("plain", (square,), 1.0, (foot,), (pull,), cracks=tuple(map(Crack, cracks)), strain="small")
-    model = methods.get("xfem").build(scene, n=12)
-    model.step(1.0)
-    K = [model.cracked.intensity(tip).tolist() for tip in range(len(model.cracked.tips.at))]
-    # sizes are sums over ranks: all must ask
-    found = [model.size(), K, model.energy()["internal"]]
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps(found))
-"""
-    alone = [json.loads(line) for line in mpirun(1, code).splitlines()]
-    for ranks in (2, 3):
-        for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
-            assert many[0] == one[0] and many[2] == pytest.approx(one[2], rel=1e-10)
-            np.testing.assert_allclose(many[1], one[1], rtol=0, atol=1e-9 * np.abs(one[1]).max())

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -353,36 +351,3 @@ def test_cracks_that_make_no_sense_are_said():
     with pytest.raises(Mistake, match="heaviside"):
         methods.get("xfem").build(scene, n=4)
     assert "memory" in methods.get("xfem").refuses(replace(scene, growth=Growth(0.1)))
-
-
-@pytest.mark.mpi
-def test_every_number_of_ranks_gives_the_same(mpirun):
-    code = """
-import json, sys
-sys.path.insert(0, TESTS)
-import numpy as np
-from mpi4py import MPI
-import geofem
-from test_xfem_faces import loaded, pressed, pulled
-
-def tell(*numbers):
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps([float(x) for x in numbers]))
-
-r = geofem.run("hydraulic_fracture", "xfem", n=10)
-tell(*r.qoi.values(), r.error["opening"], r.checks["overlap"])
-model = geofem.methods.get("xfem").build(loaded()[0], n=10)
-model.step(1.0)
-tell(*model.cracked.intensity(0), model.cracked.tension(0), model.cracked.release(0))
-model = pressed(0.3, n=20)
-tell(*model.cracked.factors[0].ravel(), *model.cracked.contact.traction.ravel(), model.cracked.overlap())
-model = pulled(lambda t: 0.03 * t, 3)
-for _ in range(3):
-    model.step(1 / 3)
-tell(model.cracked.contact.dissipated(), model.energy()["external"], model.size()["dofs"])
-""".replace("TESTS", repr(str(Path(__file__).parent)))
-    alone = [json.loads(line) for line in mpirun(1, code).splitlines()]
-    assert len(alone) == 4
-    for ranks in (2, 3):
-        for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
-            assert many == pytest.approx(one, rel=1e-9, abs=1e-10)

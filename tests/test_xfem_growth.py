@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -227,22 +226,6 @@ def test_what_cannot_grow_is_said():
         geofem.run("edge_crack", "xfem", da=0.1)
     with pytest.raises(Mistake, match="steps"):
         geofem.run(growing("edge_crack", Growth(0.1)), "xfem", steps=3)
-
-
-@pytest.mark.mpi
-def test_paths_are_the_same_on_any_number_of_ranks(mpirun):
-    code = """
-import json, geofem
-from mpi4py import MPI
-for step in geofem.grow("inclined_crack", beta=30.0, n=16, da=0.25, until=0.5):
-    if MPI.COMM_WORLD.rank == 0:
-        print(json.dumps([step.path[0].tolist(), step.K.tolist()]))
-"""
-    alone = [json.loads(line) for line in mpirun(1, code).splitlines()]
-    for ranks in (2, 3):
-        for one, many in zip(alone, [json.loads(line) for line in mpirun(ranks, code).splitlines()], strict=True):
-            np.testing.assert_allclose(many[0], one[0], rtol=0, atol=1e-9)
-            np.testing.assert_allclose(many[1], one[1], rtol=1e-9, atol=1e-9)
 
 
 # --- births -----------------------------------------------------------------------------------------------------------

@@ -119,6 +119,7 @@ LADDERS: dict[str, list[Ladder]] = {
     "beam_drop": [
         fem("beam_drop", "P2", P2, (1, 2, 4)),
         *kernels("beam_drop", (4, 8, 16)),
+        pfem("beam_drop", "", (4, 8, 16)),
     ],
     "axis_aligned": [
         fem("axis_aligned", "P1", P1, (16, 32, 64)),
@@ -220,13 +221,14 @@ SAMPLE = [
     fem("beam_drop", "P2", P2, (1, 2, 4)),
     points("beam_drop", "mpm-linear", (4, 8, 16)),
     points("beam_drop", "mpm-cpdi", (4, 8)),
+    pfem("beam_drop", "", (4, 8, 16)),
     fem("vortex", "P2", P2, (2, 4)),
     points("vortex", "mpm-linear", (4, 8, 16)),
     points("vortex", "mpm-cpdi", (8, 16)),
 ]
 """What ``geofem compare`` runs when nothing is asked for: about two minutes with nothing compiled. Cook's membrane shows orders
-of convergence (A) and locking (D), the falling beam shows finite elements and points with domains converge where classical material
-points do not, and the vortex where these die."""
+of convergence (A) and locking (D), the falling beam shows finite elements, particle finite elements and points with domains converge
+where classical material points do not, and the vortex where these die."""
 
 
 def default_ladders(scene: str, methods: Sequence[str] | None = None) -> list[Ladder]:

@@ -2,43 +2,56 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from geofem.study.map import LINEAR, Map, Variant
 
-CLASSICAL = {"tessellation": "alpha", "configuration": "end", "theta": 1.0}
+CLASSICAL: dict[str, Any] = {"tessellation": "alpha", "configuration": "end", "theta": 1.0, "walls": "fixed"}
 """The particle finite element method as it was first written."""
-LONG = {"dt": 0.05}
-"""Steps (s) that nothing but the Courant number limits."""
+LONG = 0.05
+"""Longest step (s) where nothing but the Courant number is to limit it."""
+DRIFT: dict[str, Any] = {
+    "scene": "dam_break",
+    "scene_knobs": {"setup": "koshizuka"},
+    "measure": "volume",
+    "quantity": "largest drift of the volume",
+    "threshold": 0.005,
+    "coarse": 5,
+}
+"""The volume of a dam break, which ought to stay what it was."""
+
+
+def variant(label: str, **knobs: Any) -> Variant:
+    return Variant(label, "pfem", knobs)
+
+
+def sizes(label: str, *cells: int, **knobs: Any) -> tuple[Variant, ...]:
+    """One variant by numbers of cells across."""
+    return tuple(variant(f"{label}, n = {n}", n=n, **knobs) for n in cells)
+
 
 PFEM = (
     Map(
         name="alpha",
         title="Volume that an alpha shape makes: a dam break until the far wall",
-        scene="dam_break",
-        measure="volume",
-        quantity="largest drift of the volume",
         variants=(
-            *(Variant(f"alpha shape, n = {n}", "pfem", {**CLASSICAL, "walls": "fixed", "n": n}) for n in (6, 8, 12)),
-            Variant("middle of the step, n = 8", "pfem", {**CLASSICAL, "walls": "fixed", "configuration": "mid", "n": 8}),
-            Variant("boundary kept, n = 8", "pfem", {"n": 8}),
+            *sizes("alpha shape", 6, 8, 12, **CLASSICAL),
+            *sizes("middle of the step", 8, **{**CLASSICAL, "configuration": "mid"}),
+            *sizes("boundary kept", 8),
         ),
         knob="alpha",
         axis="alpha: largest circumscribed circle of a cell over the spacing",
         scale=LINEAR,
-        scene_knobs={"setup": "koshizuka"},
         safe=1.1,
         harsh=1.7,
-        threshold=0.005,
-        coarse=5,
         bisections=0,
+        **DRIFT,
     ),
     Map(
         name="courant",
         title="Volume that long steps make: a dam break until the far wall, n = 8",
-        scene="dam_break",
-        measure="volume",
-        quantity="largest drift of the volume",
         variants=tuple(
-            Variant(f"{where} of the step, theta = {theta:g}", "pfem", {**LONG, "n": 8, "theta": theta, "configuration": way})
+            variant(f"{where} of the step, theta = {theta:g}", n=8, dt=LONG, configuration=way, theta=theta)
             for way, where, theta in (
                 ("mid", "middle", 0.5),
                 ("mid", "middle", 1.0),
@@ -48,12 +61,10 @@ PFEM = (
         ),
         knob="cfl",
         axis="spacings that a node goes in a step",
-        scene_knobs={"setup": "koshizuka"},
         safe=0.05,
         harsh=2.0,
-        threshold=0.005,
-        coarse=5,
         bisections=2,
+        **DRIFT,
     ),
     Map(
         name="transfer",
@@ -61,9 +72,7 @@ PFEM = (
         scene="vortex of nodes",
         measure="peak",
         quantity="part of the peak that is lost",
-        variants=tuple(
-            Variant(f"{way}, n = {n}", "pfem", {"way": way, "n": n}) for way in ("copied", "averaged") for n in (20, 40)
-        ),
+        variants=(*sizes("copied", 20, 40, way="copied"), *sizes("averaged", 20, 40, way="averaged")),
         knob="turns",
         axis="turns of the vortex",
         safe=0.005,
@@ -80,8 +89,8 @@ PFEM = (
         measure="roughness",
         quantity="roughness of the pressure",
         variants=(
-            *(Variant(f"P1-P1, n = {n}", "pfem", {"n": n}) for n in (6, 10, 20)),
-            Variant("MINI, n = 10", "pfem", {"n": 10, "element": "mini"}),
+            *sizes("P1-P1", 6, 10, 20),
+            *sizes("MINI", 10, element="mini"),
         ),
         knob="stabilisation",
         axis="factor on the stabilisation",
@@ -99,9 +108,9 @@ PFEM = (
         measure="layer",
         quantity="part of the depth held back",
         variants=(
-            Variant("nodes slide on walls", "pfem"),
-            Variant("fixed particles", "pfem", {"walls": "fixed"}),
-            Variant("fixed particles, alpha shape", "pfem", {**CLASSICAL, "walls": "fixed"}),
+            variant("nodes slide on walls"),
+            variant("fixed particles", walls="fixed"),
+            variant("fixed particles, alpha shape", **CLASSICAL),
         ),
         knob="n",
         axis="cells across the column",
@@ -120,9 +129,9 @@ PFEM = (
         measure="slivers",
         quantity="share of slivers",
         variants=(
-            Variant("Delaunay", "pfem", {"way": "delaunay"}),
-            Variant("edges taken out", "pfem", {"way": "swapped"}),
-            Variant("and dropped at the boundary", "pfem", {"way": "mended"}),
+            variant("Delaunay", way="delaunay"),
+            variant("edges taken out", way="swapped"),
+            variant("and dropped at the boundary", way="mended"),
         ),
         knob="jitter",
         axis="largest shift by the spacing",

@@ -92,9 +92,11 @@ class Pfem:
         Of solids:
 
         state : where history lives, nodal (averages around nodes: no transfer; the default for plastic laws), or points (in the triangles).
-        cured : of points, whether the change of volume is averaged around nodes against locking; by default in scenes without inertia.
+        cured : of points, whether the change of volume is averaged around nodes against locking; by default in scenes without
+            inertia, and in these only: in motion a collapse and a swinging beam would gain a sixth of their volume.
         transfer : of points in triangles made anew: copy of the nearest, or average by way of the nodes.
-        remesh : False keeps the first triangles.
+        remesh : False keeps the first triangles, as scenes of several bodies and of small strain always do (``work`` then counts no
+            remeshes, and the run ends by ``tangle`` where a triangle turns over).
         grading : exponent with which the first cells shrink towards the scene's singular points.
         steps : load steps of a scene without inertia (10, and 4 n with rigid bodies).
 

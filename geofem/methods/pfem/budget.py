@@ -79,6 +79,7 @@ class Budget:
     separate : thin parts cut away. restore : the volume that merge, separate and wall made, taken back from or given to
     the free surface near by. owed (k, gdim + 1) : places and volumes that could not be given back yet.
     gravity : (gdim,) (m/s2), for the potential energy.
+    now : what there was when the books were last kept; every change that is booked is one since then.
     jolted : set where velocities jumped (nodes caught by an obstacle or let go, fronts joined or cut) and so are not solenoidal.
     The trapezoidal rule would carry the jump on for ever, with its sign alternating from step to step: who steps with
     theta = 1/2 takes one step of theta = 1, and sets it back.
@@ -91,8 +92,14 @@ class Budget:
 
     def __post_init__(self) -> None:
         self.gravity = np.asarray(self.gravity, float)
+        self.now = nothing = Amount(0.0, np.zeros(len(self.gravity)), 0.0, 0.0)
         for kind in KINDS:
-            self.of.setdefault(kind, Amount(0.0, np.zeros(len(self.gravity)), 0.0, 0.0))
+            self.of.setdefault(kind, nothing)
+
+    def look(self, cloud: Cloud, cells: Array) -> Amount:
+        """Take what there is now; returns the change since it was last done."""
+        before, self.now = self.now, Amount.of(cloud, cells, self.gravity)
+        return self.now - before
 
     def book(self, kind: str, change: Amount) -> None:
         """Add a change to those of its kind."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.mistake import Mistake
 from geofem.scene import Array, Rigid, Scene, Wall
@@ -230,7 +230,6 @@ class Obstacles:
         Momentum goes to the obstacle, and is booked as ``wall``; so is the volume (m2 or m3) that this made, which in the plane is
         owed to the free surface near by. Returns the displacements (n, gdim) (m).
         """
-        before = Amount.of(cloud, cells, budget.gravity)
         start, field = cloud.x.copy(), cloud.fields["held"]
         for o, solid in enumerate(self.solids):
             distance, normals = solid.reach(cloud.x)
@@ -247,7 +246,7 @@ class Obstacles:
             if math.isinf(solid.friction):
                 cloud.v[on] = solid.velocity
             field[cloud.carried > 0, o] = 0.0  # what flies slides along it, and may leave at once
-        budget.book("wall", Amount.of(cloud, cells, budget.gravity) - before)
+        budget.book("wall", budget.look(cloud, cells))
         moved = (cloud.x != start).any(axis=1)
         if cloud.x.shape[1] == 2 and moved.any():
             near = cells[moved[cells].any(axis=1)]

@@ -44,13 +44,17 @@ LEAST_RATE = 1e-6
 MOST = 1e6
 """The viscosity of grains at rest is capped at so many times density h^2 / dt: more only spoils the condition."""
 
+THIN = 1e-6
+"""Less viscosity than so many times density h^2 / dt is as good as none to a preconditioner."""
+
 
 @dataclass(frozen=True)
 class FlowForms:
     """Compiled forms of one kind of flow; what they are made of is told by ``bind``.
 
     matrix, residual : tangent with the viscosity frozen, and a(w, .) - L(.) at w. powers : scalar forms (W): viscous dissipation,
-    dissipation of the stabilisation.
+    dissipation of the stabilisation. scales : what preconditioners weigh by, at each dof: of a velocity its mass over dt and its
+    spring (N s/m), of a pressure its volume over twice the viscosity (m3/Pa s).
     """
 
     domain: Any
@@ -64,6 +68,7 @@ class FlowForms:
     matrix: Any
     residual: Any
     powers: tuple[Any, ...]
+    scales: Any
     springs: bool
 
     def bind(self, form: Any, space: Any, functions: dict[str, Any], constants: dict[str, Any], spaces: int) -> fem.Form:
@@ -135,12 +140,18 @@ def flow_forms(gdim: int, element: str, viscosity: str, springs: bool) -> FlowFo
     viscous = 2 * mu * ufl.inner(rate, rate) * dx
     stab = tau / rho * ufl.dot(ufl.grad(pk), rho / dt * (uk - u0) + ufl.grad(pk) - rho * gravity) * dx if stabilised else None
 
+    least = THIN * rho * h**2 / dt
+    scales = (rho / dt * sum(v) + q / (2 * ufl.max_value(mu, least))) * dx
+    if springs:
+        scales += sum(spring[i, i] * v[i] for i in range(gdim)) * nodes
+
     def compiled(form: Any) -> Any:
         return fem.compile_form(MPI.COMM_WORLD, form, jit_options=JIT)
 
     powers = tuple(compiled(form) for form in (viscous, stab) if form is not None)
+    matrix = compiled(left(u, p, v, q))
     return FlowForms(
-        domain, mixed, w, w0, c, gravity, spring, pull, compiled(left(u, p, v, q)), compiled(residual), powers, springs
+        domain, mixed, w, w0, c, gravity, spring, pull, matrix, compiled(residual), powers, compiled(scales), springs
     )
 
 

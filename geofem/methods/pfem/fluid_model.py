@@ -12,7 +12,7 @@ from mpi4py import MPI
 from geofem.core.mpi import on_root
 from geofem.cost import phase
 from geofem.methods.pfem import answers
-from geofem.methods.pfem.budget import Amount, Budget, lumped, node_volumes, volumes
+from geofem.methods.pfem.budget import Budget, lumped, node_volumes, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme
@@ -56,7 +56,8 @@ class FluidModel:
         self._stale = True
         self.kept = not isinstance(tessellator, AlphaShape)
         """Whether the boundary is that of the step before; an alpha shape finds it anew in every step."""
-        self.start = Amount.of(cloud, mesh.cells, self.budget.gravity)
+        self.budget.look(cloud, mesh.cells)
+        self.start = self.budget.now
         self._worst = 0.0
         self._energy = {"internal": 0.0, "external": 0.0}
         self.impulse = np.zeros(scene.gdim)
@@ -138,12 +139,11 @@ class FluidModel:
         self._energy["external"] += dt * work + float((flown[:, None] * fall * gravity).sum())
         self._pushed += dt * float((mass + flown).sum()) * float(np.linalg.norm(gravity))
         self.impulse += dt * ((mass + flown).sum() * gravity + self.flow.reaction.sum(axis=0))
-        start = Amount.of(cloud, mesh.cells, self.budget.gravity)
         cloud.x = np.where(flying[:, None], cloud.x + fall, cloud.x + dt * u)
         cloud.v = np.where(flying[:, None], cloud.v + dt * gravity, new)
         cloud.p = np.where(flying, 0.0, cloud.p + (p - cloud.p) / theta if self.scheme.compressible else p)
         self.budget.jolted = False
-        self.budget.book("lagrangian", Amount.of(cloud, mesh.cells, self.budget.gravity) - start)
+        self.budget.book("lagrangian", self.budget.look(cloud, mesh.cells))
 
     def _retessellate(self, dt: float) -> None:
         """Obstacles, and new nodes and cells where the mesh asks for it. Collective."""
@@ -163,14 +163,17 @@ class FluidModel:
             same = np.array_equal(made.cells, self.mesh.cells) and np.array_equal(ids, self.cloud.id)
             self.mesh, self._stale = made, not same
             self.work["remeshes"] += 1
-        drift = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity).volume / self.start.volume - 1.0
+        drift = self.budget.now.volume / self.start.volume - 1.0
         self._worst = max(self._worst, drift, key=abs)
 
     def _remesh(self, dt: float) -> Tessellation | None:
         if self.kept and not needs(self.cloud, self.mesh, self.rules, self.budget, dt):
             return None
         made = remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
-        return beside_walls(made, self.cloud) if "fixed" in self.cloud.fields else made
+        if "fixed" in self.cloud.fields:
+            made = beside_walls(made, self.cloud)
+            self.budget.book("resample", self.budget.look(self.cloud, made.cells))
+        return made
 
     # --- what the runner asks -------------------------------------------------------------------------------------
     def probe(self, probe: Probe) -> float:
@@ -202,7 +205,7 @@ class FluidModel:
 
         ``volume_`` and ``energy_`` with a kind of change: what it made in volume, and took of the energy that was put in.
         """
-        now = Amount.of(self.cloud, self.mesh.cells, self.budget.gravity)
+        now = self.budget.now
         put_in = self.flow.density * self.start.kinetic + abs(self._energy["external"])
         drift = now.volume / self.start.volume - 1.0
         lost = self.flow.density * (now.momentum - self.start.momentum) - self.impulse
@@ -252,4 +255,5 @@ class FluidModel:
         self.flow.reaction = state["reaction"]
         answers.restore_cloud(self.cloud, state)
         answers.restore_budget(self.budget, state)
+        self.budget.look(self.cloud, self.mesh.cells)
         self._stale = True

@@ -53,10 +53,11 @@ class FluidSystem:
             self.constants["gravity"] = fem.Constant(self.mesh, np.zeros(gdim, scalar))
             self._residual_form = forms.bind(forms.residual, self.space, functions, self.constants, 1)
             self._powers = [forms.bind(power, self.space, functions, self.constants, 0) for power in forms.powers]
+            self._scales_form = forms.bind(forms.scales, self.space, functions, self.constants, 1)
             matrix_form = forms.bind(forms.matrix, self.space, functions, self.constants, 2)
         with phase("sparsity"):
             self.matrix = Matrix(matrix_form)
-        self.solver = FlowSolver(self.matrix, self.velocity_dofs, self.pressure_dofs, self.owned_dofs, comm)
+        self.solver = FlowSolver(self.matrix, gdim, self.pressure_dofs[self.own], self.scales, comm)
         self.factorisations = self.iterations = 0
 
     def _number(self, at: Array) -> None:
@@ -133,8 +134,15 @@ class FluidSystem:
     # --- the step -------------------------------------------------------------------------------------------------
     def residual(self) -> Array:
         """Forces out of balance of all local dofs, valid at owned ones."""
+        return self._assembled(self._residual_form)
+
+    def scales(self) -> Array:
+        """``FlowForms.scales`` of the owned dofs. Collective."""
+        return self._assembled(self._scales_form)[: self.owned_dofs]
+
+    def _assembled(self, form: fem.Form) -> Array:
         vector = la.vector(self.space.dofmap.index_map, self.space.dofmap.index_map_bs)
-        fem.assemble_vector(vector.array, self._residual_form)
+        fem.assemble_vector(vector.array, form)
         vector.scatter_reverse(la.InsertMode.add)
         return vector.array
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geofem.methods.pfem.budget import Amount, Budget
+from geofem.methods.pfem.budget import Budget
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Convex, Plane, Touch, planes_of
 from geofem.methods.pfem.tessellation import Tessellation
@@ -14,13 +14,15 @@ from geofem.scene import Array, Scene
 
 OFF = 0.05
 """Nearer to the wall than that, by its size, no node of the fluid comes."""
+ON = 1e-6
+"""Within that, by its size, a node lies on the wall."""
 
 
 class WallParticles:
     """Walls of a plane scene as particles, ``fixed`` among the cloud's fields; nodes of the first mesh on a wall are such."""
 
     def __init__(self, scene: Scene, cloud: Cloud):
-        if scene.gdim != 2 or scene.rigids or scene.supports or scene.room is None:
+        if scene.gdim != 2 or scene.rigids or scene.supports or not scene.walls or scene.room is None:
             raise Mistake(f"knob walls = 'fixed': scene {scene.name} must have walls only, in the plane, and a room; use slide")
         self.planes = planes_of(scene, cloud)
         self.rigids: list[Convex] = []
@@ -28,7 +30,7 @@ class WallParticles:
         near = np.zeros(cloud.n, bool)
         rows = []
         for plane in self.planes:
-            near |= np.abs(plane.reach(cloud.x)[0]) < 1e-6 * cloud.size
+            near |= np.abs(plane.reach(cloud.x)[0]) < ON * cloud.size
             rows.append(self._row(scene, cloud, plane))
         cloud.fields["fixed"] = near.astype(float)
         where = np.concatenate(rows)
@@ -57,17 +59,23 @@ class WallParticles:
         return (cloud.fields["fixed"] > 0.5)[:, None]
 
     def touch(self, cloud: Cloud) -> Touch:
-        """Particles of the wall are held in all directions."""
+        """Particles of the wall are held in all directions, by the wall nearest; in a corner by both."""
         n, gdim = cloud.x.shape
-        fixed = self.held(cloud)
-        obstacle = np.where(fixed & (np.arange(gdim) == 0), 0, -1)
-        normals = fixed[:, :, None] * np.eye(gdim)
-        zero = np.zeros((n, gdim))
-        return Touch(normals, zero, np.zeros((n, gdim, gdim)), np.where(obstacle == 0, np.inf, 0.0), obstacle)
+        fixed = self.held(cloud)[:, 0]
+        away = np.abs([plane.reach(cloud.x)[0] for plane in self.planes])
+        nearest = away.argmin(axis=0)
+        obstacle = np.where(fixed[:, None] & (np.arange(gdim) == 0), nearest[:, None], -1)
+        normals = np.zeros((n, gdim, gdim))
+        normals[:, 0] = np.array([plane.normal for plane in self.planes])[nearest]
+        normals[:, 1] = normals[:, 0, ::-1] * [-1.0, 1.0]
+        for o, plane in enumerate(self.planes):
+            second = fixed & (nearest != o) & (away[o] < ON * cloud.size)
+            obstacle[second, 1], normals[second, 1] = o, plane.normal
+        normals[~fixed] = 0.0
+        return Touch(normals, np.zeros((n, gdim)), np.zeros((n, gdim, gdim)), np.where(obstacle >= 0, np.inf, 0.0), obstacle)
 
     def clip(self, cloud: Cloud, cells: Array, budget: Budget) -> None:
         """Keep the fluid's nodes a little off the walls, and stop what moves into them; booked as ``wall``."""
-        before = Amount.of(cloud, cells, budget.gravity)
         free = ~self.held(cloud)[:, 0]
         for plane in self.planes:
             distance, normals = plane.reach(cloud.x)
@@ -75,7 +83,7 @@ class WallParticles:
             cloud.x[near] += (OFF * cloud.size[near] - distance[near])[:, None] * normals[near]
             into = np.minimum(np.einsum("nd,nd->n", cloud.v[near], normals[near]), 0.0)
             cloud.v[near] -= into[:, None] * normals[near]
-        budget.book("wall", Amount.of(cloud, cells, budget.gravity) - before)
+        budget.book("wall", budget.look(cloud, cells))
 
     def release(self, cloud: Cloud, force: Array, cells: Array, budget: Budget) -> None:
         """They never let go."""

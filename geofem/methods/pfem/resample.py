@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from geofem.methods.pfem.budget import Amount, Budget, lumped, volumes
+from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
@@ -238,7 +238,7 @@ def remesh(
     ``parents`` of the answer are rows of the tessellation that was given. Volume is kept but for what the budget says, momentum
     patch by patch (components at obstacles excepted), and so is the mass of nodes that have a density (field ``density``).
     """
-    start, booked = Amount.of(cloud, tessellation.cells, budget.gravity), budget.total()
+    booked = budget.total()
     before = Carried.of(cloud, tessellation.cells)
     facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
     if rules.boundary:
@@ -269,8 +269,7 @@ def remesh(
     new = Tessellation(new.cells, new.facets, np.where(new.parents >= 0, rows[new.parents], -1))
     touch = obstacles.touch(cloud)
     balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
-    change = Amount.of(cloud, new.cells, budget.gravity) - start - (budget.total() - booked)
-    budget.book("resample", change)
+    budget.book("resample", budget.look(cloud, new.cells) - (budget.total() - booked))
     return new
 
 

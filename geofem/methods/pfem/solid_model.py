@@ -30,7 +30,7 @@ DAMPING = 0.02
 
 
 class SolidModel:
-    """Solids whose nodes are the material; see ``build_solid`` for the knobs."""
+    """Solids whose nodes are the material; see ``Pfem.build`` for the knobs."""
 
     def __init__(self, scene: Scene, body: Body, solver: Static | Dynamic, remesher: Remesher | None):
         self.scene, self.body, self.solver, self.remesher = scene, body, solver, remesher
@@ -139,21 +139,11 @@ def inside(scene: Scene, point: tuple[float, ...]) -> bool:
     )
 
 
-def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bool | None = None, stabilisation: float | None = None,
-                grading: float | None = None, steps: int | None = None, tolerance: float | None = None, remesh: bool = True,
-                transfer: str = "copy") -> SolidModel:  # fmt: skip
-    """The model of a scene of solids.
-
-    n : cells across the scene's length. state : where history lives, nodal or points (in the triangles); by default nodal for plastic laws.
-    cured : of points, whether the change of volume is averaged around nodes against locking; by default in scenes without inertia.
-        In motion the average leaves modes free in which neighbouring triangles swell and shrink: a collapsing column gains a third.
-    stabilisation : see ``Body``. grading : of the first mesh towards the scene's singular points, as of fem.
-    steps : load steps of a scene without inertia. tolerance : of Newton's method, 1e-9, and 1e-5 for plastic laws.
-
-    remesh : False keeps the first triangles. transfer : of history in triangles that were made anew, copy (of the nearest) or average.
-
-    Raises ``Mistake`` for a knob or a material out of range.
-    """
+def build_solid(
+    scene: Scene, *, n: int, state: str | None, cured: bool | None, stabilisation: float | None, grading: float | None,
+    steps: int | None, tolerance: float | None, remesh: bool, transfer: str,
+) -> SolidModel:  # fmt: skip
+    """See ``Pfem.build``."""
     plastic = any(materials.LAWS[region.material.law].history for region in scene.regions)
     state = state or ("nodal" if plastic else "points")
     if state not in STATES:
@@ -163,6 +153,9 @@ def build_solid(scene: Scene, *, n: int = 8, state: str | None = None, cured: bo
             raise Mistake(f"knob {name} = {value!r}: give a whole number, at least 1")
     if transfer not in TRANSFERS:
         raise unknown("transfer", transfer, TRANSFERS)
+    if cured and scene.dynamic and state == "points":
+        # The average feels nothing of neighbours that swell and shrink in turn; in motion they do, and their areas weigh the stresses.
+        raise Mistake("knob cured = True: triangles in motion would make volume; leave it out, or take state = nodal")
     cured = not scene.dynamic if cured is None else cured
     if stabilisation is None:
         stabilisation = DAMPING if scene.dynamic else STABILISATION

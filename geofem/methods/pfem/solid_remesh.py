@@ -74,6 +74,7 @@ class Remesher:
             for name, values in (("F", history.F), ("state", history.state)):
                 cloud.fields[name] = transfer.to_nodes(values, old.cells, body.triangles.volume, cloud.n)[0]
         places = cloud.x[old.cells].mean(axis=1)
+        self.budget.look(cloud, old.cells)
         new = resample.remesh(cloud, old, self.obstacles, self.tessellator, SOLID, self.budget, dt)
         mass = cloud.fields.pop("density") * lumped(cloud, new.cells)
         if body.nodal:
