@@ -29,10 +29,12 @@ if TYPE_CHECKING:
         Crack,
         Disc,
         Growth,
+        Inlet,
         Load,
         Material,
         Measure,
         MeshFile,
+        Outlet,
         Polygon,
         Probe,
         Reference,
@@ -58,9 +60,9 @@ _caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_caches / "geofem" / f"numba-{_stamp}"))
 
 __all__ = [
-    "Box", "Breakdown", "Cohesion", "Crack", "Disc", "Growth", "Load", "Material", "Measure", "MeshFile", "Mistake", "Polygon",
-    "Probe", "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Step", "Support", "Wall", "compare", "grow", "run",
-    "vary",
+    "Box", "Breakdown", "Cohesion", "Crack", "Disc", "Growth", "Inlet", "Load", "Material", "Measure", "MeshFile", "Mistake",
+    "Outlet", "Polygon", "Probe", "Reference", "Region", "Result", "Rigid", "Ring", "Scene", "Step", "Support", "Wall",
+    "compare", "grow", "run", "vary",
 ]  # fmt: skip
 
 _HOMES = {

@@ -82,10 +82,51 @@ class Wall:
     friction: float = 0.0
 
     def __post_init__(self) -> None:
-        if sorted(map(abs, self.normal)) != [0.0] * (len(self.normal) - 1) + [1.0]:
-            raise Mistake(f"wall {self.name}: normal is a unit vector along an axis, like (0, 1), not {self.normal}")
+        check_normal("wall", self.name, self.normal)
         if not self.friction >= 0:
             raise Mistake(f"wall {self.name}: friction = {self.friction:g} must not be negative")
+
+
+def check_normal(kind: str, name: str, normal: Point) -> None:
+    """Raises ``Mistake`` unless the normal of a plane is a unit vector along an axis."""
+    if sorted(map(abs, normal)) != [0.0] * (len(normal) - 1) + [1.0]:
+        raise Mistake(f"{kind} {name}: normal is a unit vector along an axis, like (0, 1), not {normal}")
+
+
+@dataclass(frozen=True)
+class Inlet:
+    """An opening through which material comes in; a body lies on it from the start.
+
+    where : predicate of *present* positions, true on the opening and beyond it, as that of a wall.
+    normal : unit vector along an axis, from the opening into the body.
+    velocity : (x, t) -> (gdim, n) velocity (m/s) of what comes in at the places x; it does not point out of the body.
+    """
+
+    name: str
+    where: Callable[[Array], Array]
+    normal: Point
+    velocity: Callable[[Array, float], Array]
+
+    def __post_init__(self) -> None:
+        check_normal("inlet", self.name, self.normal)
+
+
+@dataclass(frozen=True)
+class Outlet:
+    """An opening through which material leaves: what has passed it is gone.
+
+    where : predicate of *present* positions, true on the opening and beyond it, as that of a wall.
+    normal : unit vector along an axis, from the opening towards the bodies.
+    traction : (x, t) -> (gdim, n) traction (Pa) at the places x with which what is beyond acts on what is still there; None: none.
+    """
+
+    name: str
+    where: Callable[[Array], Array]
+    normal: Point
+    traction: Callable[[Array, float], Array] | None = None
+
+    def __post_init__(self) -> None:
+        check_normal("outlet", self.name, self.normal)
 
 
 @dataclass(frozen=True)
@@ -221,14 +262,16 @@ class Probe:
     quantity :
         ``displacement``, ``velocity`` component of the material point ``at`` (reference coordinates);
         ``stress`` Cauchy stress component (0..5 for xx, yy, zz, xy, yz, xz) at the material point ``at``;
-        ``reaction`` component of the force (N, per metre in plane strain, per radian in axisymmetry) that the support, wall
-        or rigid body ``of`` exerts on the bodies;
+        ``reaction`` component of the force (N, per metre in plane strain, per radian in axisymmetry) that the support, wall,
+        rigid body or inlet ``of`` exerts on the bodies;
         ``quantile`` coordinate ``component`` (m) below which ``share`` of the mass lies: the front of a flow, its height;
         ``mean_velocity`` component of the velocity of the centre of mass;
         ``largest_speed`` largest magnitude of the velocity (m/s) over all nodes or material points;
         ``volume`` of the bodies now (m2 in the plane, m3);
+        ``inflow``, ``outflow`` volume (m2 in the plane) that came in through all inlets, and left through all outlets, so far;
         ``pressure_error`` root mean square over the body of p - exact(x, t) (Pa) at *present* positions x, exact: (x, t) -> (n,),
         with the pressure p, a third of minus the trace of the stress;
+        ``velocity_error`` root mean square over the body of |v - exact(x, t)| (m/s) at *present* positions x, exact: -> (gdim, n);
         ``displacement_error`` root mean square over the body of |u - exact(x, t)| (m), exact: (x, t) -> (gdim, n);
         ``energy_error`` square root of the strain energy (J) of u minus a displacement of gradient exact: (x, t) -> (gdim, gdim, n);
         ``KI``, ``KII`` stress intensity factor (Pa sqrt(m)) of the crack tip that started nearest to the point ``at``; 0 once it
@@ -302,7 +345,7 @@ class Scene:
     growth : how the cracks grow; then t is the way of the fastest tip (m), and t_end its length.
     period : the time (s) of one oscillation of a dynamic scene, by which methods choose their step; t_end if None.
     singular : points where the exact stress is singular or jumps: a method may grade its cells towards them.
-    walls, rigids : what the bodies may touch and leave again.
+    walls, rigids : what the bodies may touch and leave again. inlets, outlets : where material comes in and leaves.
     room : a box around all that the bodies will do, for methods with a background grid.
     intact : True if the bodies hold together however far they are stretched; a method in which they part has failed.
     collapse : True if the run is to find the t at which equilibrium is lost, and to end there with status ``ok``.
@@ -330,6 +373,8 @@ class Scene:
     growth: Growth | None = None
     walls: tuple[Wall, ...] = ()
     rigids: tuple[Rigid, ...] = ()
+    inlets: tuple[Inlet, ...] = ()
+    outlets: tuple[Outlet, ...] = ()
     singular: tuple[Point, ...] = ()
     room: Box | None = None
     intact: bool = False
@@ -351,8 +396,13 @@ class Scene:
             if not self.cracks and self.growth.strength is None:
                 raise Mistake(f"scene {self.name}: has no crack that could grow; give it one, or its growth a strength")
             object.__setattr__(self, "t_end", self.growth.length)
-        names = [*(s.name for s in self.supports), *(w.name for w in self.walls), *(r.name for r in self.rigids)]
+        parts: tuple[Support | Wall | Rigid | Inlet, ...] = (*self.supports, *self.walls, *self.rigids, *self.inlets)
+        names = [part.name for part in parts]
         for probe in self.probes:
+            if probe.quantity in ("inflow", "outflow") and not getattr(self, probe.quantity.replace("flow", "lets")):
+                raise Mistake(
+                    f"scene {self.name}: probe {probe.name!r} measures the {probe.quantity}, but nothing is open for it"
+                )
             if probe.quantity == "reaction" and probe.of not in names:
                 raise Mistake(f"scene {self.name}: probe {probe.name!r} measures the reaction of unknown support {probe.of!r}")
 

@@ -1,5 +1,7 @@
 """Solids by the particle finite element method: domains, patch, footing."""
 
+import inspect
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from geofem import scenes
 from geofem.methods.pfem import Pfem, solid_domains
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.resample import Carried, balance
+from geofem.methods.pfem.solid_model import build_solid
 from geofem.methods.pfem.tessellation import Tessellation
 
 
@@ -46,9 +49,16 @@ def test_domains_see_a_linear_field_exactly_and_push_in_balance(seed):
         assert np.allclose(force.sum(axis=0), 0.0, atol=1e-12)
 
 
+def build(scene, **knobs):
+    """The solid of a scene, also of mu(I), which ``Pfem.build`` would take as a fluid; its defaults."""
+    known = inspect.signature(build_solid).parameters
+    defaults = {name: value for name, value in Pfem.build.__kwdefaults__.items() if name in known}
+    return build_solid(scene, **{**defaults, **knobs})
+
+
 def solve(scene, **knobs):
     """The model at the end of its run, and the samples of its probes."""
-    model = Pfem().build(scene, **knobs)
+    model = build(scene, **knobs)
     history = {"t": [], **{p.name: [] for p in scene.probes}}
     while model.t < scene.t_end - 1e-9:
         model.step(min(model.dt(), scene.t_end - model.t))
@@ -137,7 +147,7 @@ def test_mass_and_momentum_of_patches_stay_and_of_what_vanishes_go_to_the_neares
 def test_checkpoint(name):
     """A model that takes up the state of another one goes on as that does."""
     scene = scenes.get(name)()
-    first, second = Pfem().build(scene, n=4), Pfem().build(scene, n=4)
+    first, second = build(scene, n=4), build(scene, n=4)
     for _ in range(12):
         first.step(first.dt())
     second.restore({key: np.array(value) for key, value in first.state().items()})
@@ -153,7 +163,7 @@ def test_checkpoint(name):
 def test_bodies_touch_by_the_mesh_between_them():
     """Two discs are pressed together and part: momentum stays to rounding, most of the energy comes back."""
     scene = scenes.get("collision")()
-    model = Pfem().build(scene, n=14)
+    model = build(scene, n=14)
     before, least = model.energy()["kinetic"], np.inf
     while model.t < 3.0:
         model.step(model.dt())

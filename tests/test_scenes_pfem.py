@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made import inside, made, measure
 from scipy.integrate import quad
 
 from geofem import materials, scenes
 from geofem.mistake import Mistake
 from geofem.reference import series, table
-from geofem.scene import Array, Measure, Scene
+from geofem.scene import Array
 from geofem.scenes import bingham_slump, dam_break, hydrostatic, sloshing, square_drop
 
 CASES: list[tuple[str, dict[str, Any]]] = [
@@ -22,23 +23,9 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     *[("dam_break", {"setup": setup, "end": 0.5}) for setup in ("koshizuka", "obstacle", "solid")],
     *[("square_drop", knobs) for knobs in ({}, {"shape": "disc"})],
     *[("bingham_slump", {"B": B}) for B in (0.05, 0.01, 0.1)],
+    *[("film", {"law": law}) for law in ("newtonian", "bingham")],
     *[("sloshing", knobs) for knobs in ({}, {"A": 0.001, "nu": 0.0}, {"nu": 0.01})],
 ]
-
-
-def made(name: str, **knobs: Any) -> Scene:
-    return scenes.get(name)(**knobs)
-
-
-def measure(scene: Scene, name: str) -> Measure:
-    return next(one for one in scene.measures if one.name == name)
-
-
-def inside(shape: Any, count: int = 2000) -> Array:
-    """Random points of a shape, (gdim, n)."""
-    low, high = np.array(shape.bounds)
-    x = np.random.default_rng(1).uniform(low, high, (count, len(low))).T
-    return x[:, shape.contains(x)]
 
 
 # --- every scene ------------------------------------------------------------------------------------------------------
@@ -75,7 +62,8 @@ def test_scene_is_sound(name: str, knobs: dict[str, Any]) -> None:
     "name, knobs",
     [("hydrostatic", {"dim": 1}), ("sloshing", {"A": 0.1}), ("sloshing", {"nu": -1e-6}), ("sloshing", {"A": math.nan}),
      ("dam_break", {"setup": "moyce"}), ("dam_break", {"end": 0.01, "setup": "solid"}), ("square_drop", {"shape": "round"}),
-     ("square_drop", {"amplitude": 0.0}), ("bingham_slump", {"B": 0.5}), ("bingham_slump", {"m": 0.0})],
+     ("square_drop", {"amplitude": 0.0}), ("bingham_slump", {"B": 0.5}), ("bingham_slump", {"m": 0.0}),
+     ("film", {"law": "water"}), ("film", {"slope": 90.0})],
 )  # fmt: skip
 def test_wrong_knob_is_a_mistake_that_names_scene_and_knob(name: str, knobs: dict[str, Any]) -> None:
     with pytest.raises(Mistake, match=f"scene {name}.*{next(iter(knobs))}"):

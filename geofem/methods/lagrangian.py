@@ -28,11 +28,18 @@ class Fem:
         """Why this method cannot solve the scene, in a sentence; None if it can."""
         if scene.walls or scene.rigids:
             return "fem has no contact with walls or rigid bodies; use a material point method"
+        if scene.inlets or scene.outlets:
+            return "fem has no inlets and outlets; use pfem"
         if scene.cracks or scene.growth:
             return conforming.refuses(scene)
         if any(region.material.parameters.get("surface_tension") for region in scene.regions):
             return "fem has no surface tension; use pfem"
-        if unknown := {probe.quantity for probe in scene.probes} & {"largest_speed", "pressure_error", "volume"}:
+        if unknown := {probe.quantity for probe in scene.probes} & {
+            "largest_speed",
+            "pressure_error",
+            "velocity_error",
+            "volume",
+        }:
             return f"fem does not measure {', '.join(sorted(unknown))}"
         laws = {region.material.law for region in scene.regions}
         if scene.plane == "plane_stress" and laws != {"linear_elastic"}:

@@ -194,12 +194,14 @@ def draw(this: Map, lines: Sequence[Line]) -> Figure:
                 paper = {"facecolor": "#ececec", "edgecolor": "none", "pad": 2} if level is None else None
                 axes.text(this.scale.middle(a, b), i, words, ha="center", va="center", color=colour, fontsize=14, bbox=paper)
             if line.boundary is not None:
-                axes.plot([line.boundary] * 2, [i - 0.46, i + 0.46], color="black", linewidth=8, solid_capstyle="butt")
-                axes.plot([line.boundary] * 2, [i - 0.43, i + 0.43], color="white", linewidth=3, solid_capstyle="butt")
+                for half, colour, width in ((0.46, "black", 8), (0.43, "white", 3)):  # whole at the ends of the axis as well
+                    axes.plot([line.boundary] * 2, [i - half, i + half], color=colour, linewidth=width, solid_capstyle="butt",
+                              clip_on=False, zorder=3)  # fmt: skip
         axes.set_xlim(this.safe, this.harsh)
         axes.set_ylim(len(lines) - 0.5, -0.5)
         axes.set_yticks(range(len(lines)), [line.label for line in lines])
-        axes.tick_params(axis="y", length=0)
+        axes.tick_params(axis="y", length=0, pad=8)
+        axes.tick_params(axis="x", which="minor", pad=5)  # as low as the labels of the longer major ticks
         axes.set_xlabel(this.axis)
         against = f"{this.quantity} against {this.reference.label}" if this.reference else this.quantity
         crosses = f"the bar marks where it crosses {told(this.threshold)} or a run breaks down"

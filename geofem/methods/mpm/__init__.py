@@ -47,6 +47,8 @@ class Mpm:
             return f"{self.name} has no cracks"
         if scene.collapse:
             return f"{self.name} does not search for a collapse load"
+        if scene.inlets or scene.outlets:
+            return f"{self.name} has no inlets and outlets; use pfem"
         if scene.rigids and scene.plane != "plane_strain":
             return f"{self.name} touches rigid bodies in plane strain only"
         if any(region.material.parameters.get("surface_tension") for region in scene.regions):

@@ -127,16 +127,8 @@ class Places:
             return math.sqrt(self.comm.allreduce(own, op=MPI.MAX))
         if probe.quantity == "volume":
             return float(self.comm.allreduce(sum(float(b.own("volume") @ b.jacobian()) for b in bodies)))
-        if probe.quantity == "pressure_error":
-            return self._pressure_error(probe, bodies, t)
-        if probe.quantity == "displacement_error":
-            assert probe.exact is not None
-            sums = np.zeros(2)
-            for body in bodies:
-                u = (body.own("x") - body.own("X")).T
-                sums += body.own("mass") @ np.sum((u - probe.exact(body.own("X").T, t)) ** 2, axis=0), body.own("mass").sum()
-            square, mass = self.comm.allreduce(sums)
-            return math.sqrt(square / mass)
+        if probe.exact is not None:
+            return self._error(probe, bodies, t)
         if probe.quantity == "quantile":
             x = self._all([body.own("x")[:, c] for body in bodies])
             return quantile(x, self._all([body.own("mass") for body in bodies]), probe.share)
@@ -146,15 +138,21 @@ class Places:
             return 0.0
         return float(weights @ self._values(bodies[k], ids, probe.quantity, c))
 
-    def _pressure_error(self, probe: Probe, bodies: list[Body], t: float) -> float:
+    def _error(self, probe: Probe, bodies: list[Body], t: float) -> float:
+        """Root mean square over all points, weighed by volume for pressures and by mass for vectors."""
         assert probe.exact is not None
         sums = np.zeros(2)
         for body in bodies:
-            volume = body.own("volume") * body.jacobian()
-            p = -body.stress()[:, :3].mean(axis=1)
-            sums += volume @ (p - probe.exact(body.own("x").T, t)) ** 2, volume.sum()
-        square, volume = self.comm.allreduce(sums)
-        return math.sqrt(square / volume)
+            at, weight = body.own("x"), body.own("mass")
+            if probe.quantity == "pressure_error":
+                found, weight = -body.stress()[:, :3].mean(axis=1)[None], body.own("volume") * body.jacobian()
+            elif probe.quantity == "velocity_error":
+                found = body.own("v").T
+            else:
+                found, at = (at - body.own("X")).T, body.own("X")
+            sums += weight @ np.sum((found - probe.exact(at.T, t)) ** 2, axis=0), weight.sum()
+        square, total = self.comm.allreduce(sums)
+        return math.sqrt(square / total)
 
     def _values(self, body: Body, ids: Array, quantity: str, c: int) -> Array:
         """A field at the points of some numbers."""

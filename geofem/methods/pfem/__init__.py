@@ -70,8 +70,9 @@ class Pfem:
         n : cells across the scene's length.
         stabilisation : of fluids the factor on tau of equal-order elements (1; 0: none); of solids the share of the shear stiffness
             that acts on each triangle against the modes that nodal averages do not see (0.002, and 0.02 in motion).
-        tolerance : of fluids the change of the velocity in the last iteration by the largest velocity (1e-6; bingham 1e-4, mu_i 1e-3,
-            or by what gravity gives in a step); of solids the force out of balance by the forces that balance (1e-9, plastic laws 1e-5).
+        tolerance : of fluids the change of the velocity in the last iteration by the largest velocity (1e-6; bingham 1e-4,
+            mu_i 1e-3, where at rest by what gravity gives in a step); of solids the force out of balance by the forces that balance
+            (1e-9, plastic laws 1e-5).
 
         Of fluids:
 

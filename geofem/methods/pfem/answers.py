@@ -52,27 +52,26 @@ class Places:
             return quantile(cloud.x[:, c], weight, probe.share)
         if probe.quantity == "mean_velocity":
             return float(weight @ cloud.v[:, c] / weight.sum())
-        if probe.quantity == "displacement_error":
+        if probe.quantity in ("displacement_error", "velocity_error"):
             assert probe.exact is not None
-            error = np.sum((cloud.x - cloud.X - probe.exact(cloud.X.T, t).T) ** 2, axis=1)
+            moved = probe.quantity == "displacement_error"
+            found, at = (cloud.x - cloud.X, cloud.X) if moved else (cloud.v, cloud.x)
+            error = np.sum((found - probe.exact(at.T, t).T) ** 2, axis=1)
             return math.sqrt(weight @ error / weight.sum())
         assert probe.at is not None
         fields = {"displacement": cloud.x - cloud.X, "velocity": cloud.v, "stress": stress}
         return self.value(probe.at, cloud, fields[probe.quantity][:, c])
 
 
-def reaction(obstacles: Contact, cloud: Cloud, force: Array, name: str) -> Array:
-    """Force (gdim,) that an obstacle exerts on the nodes (N); a node in a corner shares it by the normals."""
+def reactions(obstacles: Contact, cloud: Cloud, force: Array) -> Array:
+    """Forces (k, gdim) that the obstacles exert on the nodes (N); a node in a corner shares its force (n, gdim) by the normals."""
     touch = obstacles.touch(cloud)
-    number = obstacles.names.index(name)
-    total = np.zeros(force.shape[1])
+    total = np.zeros((len(obstacles.names), force.shape[1]))
     for row in range(touch.obstacle.shape[1]):
-        who = touch.obstacle[:, row] == number
-        alone = who & (touch.count == 1)
-        total += force[alone].sum(axis=0)
-        shared = who & (touch.count > 1)
-        normal = touch.normals[shared, row]
-        total += (np.einsum("ni,ni->n", force[shared], normal)[:, None] * normal).sum(axis=0)
+        who = touch.obstacle[:, row] >= 0
+        shared, normal = who & (touch.count > 1), touch.normals[:, row]
+        part = np.where(shared[:, None], np.einsum("ni,ni->n", force, normal)[:, None] * normal, force)
+        np.add.at(total, touch.obstacle[who, row], part[who])
     return total
 
 

@@ -11,7 +11,9 @@ from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.tessellation.simplices import volumes
 from geofem.scene import Array
 
-KINDS = ("lagrangian", "wall", "resample", "merge", "separate", "restore")
+KINDS = ("lagrangian", "wall", "resample", "merge", "separate", "restore", "inflow", "outflow")
+OPEN = ("inflow", "outflow")
+"""Kinds that are no errors: what came in and left."""
 
 
 def node_volumes(x: Array, cells: Array) -> Array:
@@ -77,7 +79,8 @@ class Budget:
     lagrangian : the steps of the solver. wall : nodes put back onto an obstacle, momentum given to it.
     resample : nodes added and removed, and the new connectivity. merge : cells between fronts that met, and overlaps.
     separate : thin parts cut away. restore : the volume that merge, separate and wall made, taken back from or given to
-    the free surface near by. owed (k, gdim + 1) : places and volumes that could not be given back yet.
+    the free surface near by. inflow, outflow : what came in through inlets and left
+    through outlets. owed (k, gdim + 1) : places and volumes that could not be given back yet.
     gravity : (gdim,) (m/s2), for the potential energy.
     now : what there was when the books were last kept; every change that is booked is one since then.
     jolted : set where velocities jumped (nodes caught by an obstacle or let go, fronts joined or cut) and so are not solenoidal.
@@ -108,6 +111,10 @@ class Budget:
     def made(self, volume: float, at: Array) -> Amount:
         """The amount that a volume (m2) of no momentum at a place (gdim,) is."""
         return Amount(volume, np.zeros(len(self.gravity)), 0.0, -volume * float(self.gravity @ at))
+
+    def passed(self) -> Amount:
+        """What came in less what left."""
+        return self.of["inflow"] + self.of["outflow"]
 
     def total(self) -> Amount:
         """All changes since the start."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,10 +12,12 @@ import numpy as np
 from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.mistake import Mistake
-from geofem.scene import Array, Rigid, Scene, Wall
+from geofem.scene import Array, Inlet, Outlet, Rigid, Scene, Wall
 
 TOUCH = 1e-3
 """Within this part of its size a node touches an obstacle that it moves towards."""
+ON = 1e-9
+"""Within this part of its size a node lies on an outlet."""
 SLIP = 0.05
 """A held node that is farther than this part of its size from the obstacle has slid off its end or round its corner."""
 
@@ -45,12 +48,14 @@ class Contact(Protocol):
 
     names: list[str]
     rigids: list[Convex]
+    inlets: list[Inflow]
+    outlets: list[Outflow]
 
     def follow(self, t: float, dt: float) -> None: ...
 
     def held(self, cloud: Cloud) -> Array: ...
 
-    def touch(self, cloud: Cloud) -> Touch: ...
+    def touch(self, cloud: Cloud, *, outlets: bool = False) -> Touch: ...
 
     def clip(self, cloud: Cloud, cells: Array, budget: Budget) -> Any: ...
 
@@ -58,10 +63,11 @@ class Contact(Protocol):
 
 
 class Plane:
-    """A wall: its plane, found once by bisection of its predicate."""
+    """A wall or an opening: its plane, found once by bisection of its predicate."""
 
-    def __init__(self, wall: Wall, low: Array, high: Array):
-        self.name, self.friction, self.where = wall.name, wall.friction, wall.where
+    def __init__(self, wall: Wall | Inlet | Outlet, low: Array, high: Array):
+        self.name, self.where = wall.name, wall.where
+        self.friction = wall.friction if isinstance(wall, Wall) else 0.0
         self.normal = np.array(wall.normal, float)
         axis = int(np.argmax(np.abs(self.normal)))
         span = float((high - low).max())
@@ -76,7 +82,8 @@ class Plane:
                 break
             span *= 2
         else:
-            raise Mistake(f"wall {wall.name}: its 'where' is true nowhere behind the bodies; is its normal from wall to body?")
+            kind = type(wall).__name__.lower()
+            raise Mistake(f"{kind} {wall.name}: its 'where' is true nowhere behind the bodies; is its normal towards the body?")
         out, beyond = out[:, found][:, :1], beyond[:, found][:, :1]
         for _ in range(200):
             middle = 0.5 * (out + beyond)
@@ -97,9 +104,13 @@ class Plane:
         if away[nearest] < 1e-6 * cloud.size[nearest]:
             self.place = float(cloud.x[nearest, self.axis])
 
+    def height(self, x: Array) -> Array:
+        """Distance (n,) of nodes (n, gdim) from the whole of the plane, negative beyond it."""
+        return (x[:, self.axis] - self.place) * self.normal[self.axis]
+
     def reach(self, x: Array) -> tuple[Array, Array]:
         """Distance (n,) of nodes (n, gdim) from the plane, negative beyond it, inf where there is none; and normals (n, gdim)."""
-        distance = (x[:, self.axis] - self.place) * self.normal[self.axis]
+        distance = self.height(x)
         behind = x.T.copy()
         behind[self.axis] = self.place - 1e-9 * self.normal[self.axis] * (1.0 + abs(self.place))
         distance = np.where(np.asarray(self.where(behind), bool), distance, np.inf)
@@ -112,15 +123,51 @@ class Plane:
         return x
 
 
-def planes_of(scene: Scene, cloud: Cloud) -> list[Plane]:
-    """The walls of a scene, looked for around its nodes and in its room."""
+def planes_of(walls: Iterable[Wall | Inlet | Outlet], scene: Scene, cloud: Cloud) -> list[Plane]:
+    """Walls or openings of a scene, looked for around its nodes and in its room."""
     low, high = cloud.x.min(axis=0), cloud.x.max(axis=0)
     if scene.room is not None:
         low, high = np.minimum(low, scene.room.low), np.maximum(high, scene.room.high)
-    planes = [Plane(wall, low, high) for wall in scene.walls]
+    planes = [Plane(wall, low, high) for wall in walls]
     for plane in planes:
         plane.meet(cloud)
     return planes
+
+
+@dataclass(frozen=True)
+class Inflow:
+    """An inlet: its nodes stay where they are, while what they are made of goes on; ``column`` of the field ``held`` is theirs.
+
+    velocity : (x, t) -> (2, n) (m/s).
+    """
+
+    plane: Plane
+    column: int
+    velocity: Callable[[Array, float], Array]
+
+    def speeds(self, x: Array, t: float) -> Array:
+        """Velocities (n, 2) (m/s) at places x (n, 2). Raises ``Mistake`` where they point out of the body."""
+        v = np.asarray(self.velocity(x.T, t), float).T
+        if v.shape != x.shape or not np.isfinite(v).all():
+            raise Mistake(
+                f"inlet {self.plane.name}: its velocity at t = {t:.4g} is not {x.shape[1]} finite numbers for each place"
+            )
+        if (v @ self.plane.normal < -1e-12 * np.abs(v).max(initial=0.0)).any():
+            raise Mistake(f"inlet {self.plane.name}: its velocity at t = {t:.4g} points out of the body; there, use an outlet")
+        return v
+
+
+@dataclass(frozen=True)
+class Outflow:
+    """An outlet; nodes on it are marked in ``column`` of the field ``held``. traction : see ``geofem.Outlet``."""
+
+    plane: Plane
+    column: int
+    traction: Callable[[Array, float], Array] | None
+
+    def beyond(self, cloud: Cloud) -> Array:
+        """Which nodes have passed it, (n,) bool."""
+        return self.plane.reach(cloud.x)[0] < -ON * cloud.size
 
 
 class Convex:
@@ -165,27 +212,36 @@ class Convex:
 
 
 class Obstacles:
-    """Walls, rigid bodies and fixed supports of a scene, numbered in this order; ``names`` (k,) are theirs.
+    """Walls, rigid bodies, openings and fixed supports of a scene, numbered in this order; ``names`` (k,) are theirs.
 
-    A node that reaches an obstacle is held: it stays on it, may slide along it, and is let go by ``release``.
+    A node that reaches an obstacle is held: it stays on it, may slide along it, and is let go by ``release``. What openings do
+    between the steps is in ``openings``.
     """
 
     def __init__(self, scene: Scene, cloud: Cloud):
-        self.planes = planes_of(scene, cloud)
+        self.planes = planes_of(scene.walls, scene, cloud)
         self.rigids = [Convex(rigid) for rigid in scene.rigids]
         self.solids: list[Any] = [*self.planes, *self.rigids]
+        ins, outs = planes_of(scene.inlets, scene, cloud), planes_of(scene.outlets, scene, cloud)
+        self.openings = [*ins, *outs]
+        start = len(self.solids)
+        self.inlets = [Inflow(p, start + k, told.velocity) for k, (p, told) in enumerate(zip(ins, scene.inlets))]
+        start += len(ins)
+        self.outlets = [Outflow(p, start + k, told.traction) for k, (p, told) in enumerate(zip(outs, scene.outlets))]
         self.supports = [(s.name, s.where, c) for s in scene.supports if s.value is None for c in s.components]
         if any(isinstance(where, str) for _, where, _ in self.supports):
             raise Mistake(f"scene {scene.name}: supports of particles are predicates, not names of physical groups")
-        self.names = [*(s.name for s in self.solids), *(name for name, _, _ in self.supports)]
-        cloud.fields["held"] = np.zeros((cloud.n, len(self.solids)))
+        surfaces = [*self.solids, *self.openings]
+        self.names = [*(s.name for s in surfaces), *(name for name, _, _ in self.supports)]
+        cloud.fields["held"] = np.zeros((cloud.n, len(surfaces)))
         self.follow(0.0, 0.0)
-        for o, solid in enumerate(self.solids):
-            distance, _ = solid.reach(cloud.x)
+        for o, surface in enumerate(surfaces):
+            distance, _ = surface.reach(cloud.x)
             cloud.fields["held"][distance < TOUCH * cloud.size, o] = 1.0
 
     def follow(self, t: float, dt: float) -> None:
         """Move the rigid bodies to where they are at t (s); dt (s) is the step that follows."""
+        self.middle = t + 0.5 * dt
         for rigid in self.rigids:
             rigid.follow(t, dt)
             corners = rigid.corners + rigid.shift
@@ -199,19 +255,26 @@ class Obstacles:
         on = [np.asarray(where(cloud.X.T), bool) for _, where, _ in self.supports if not isinstance(where, str)]
         return np.column_stack([held, *on]) if on else held
 
-    def touch(self, cloud: Cloud) -> Touch:
-        """The constraints of all nodes, those of supports first."""
+    def touch(self, cloud: Cloud, *, outlets: bool = False) -> Touch:
+        """The constraints of all nodes, those of inlets and supports first. outlets : nodes on them also stay in their plane."""
         n, gdim = cloud.x.shape
+        first, last = len(self.solids) + len(self.openings), len(self.names)
         normals, velocity = np.zeros((n, gdim, gdim)), np.zeros((n, gdim, gdim))
         friction, obstacle = np.zeros((n, gdim)), np.full((n, gdim), -1)
         count, held = np.zeros(n, np.int64), self.held(cloud)
-        for o in [*range(len(self.solids), len(self.names)), *range(len(self.solids))]:
+        for inlet in self.inlets:
+            who = np.flatnonzero(held[:, inlet.column])
+            normals[who], count[who], obstacle[who] = np.eye(gdim), gdim, inlet.column
+            velocity[who] = inlet.speeds(cloud.x[who], self.middle)[:, None]
+        exits = [outlet.column for outlet in self.outlets] if outlets else []
+        for o in [*range(first, last), *range(len(self.solids)), *exits]:
             who = np.flatnonzero(held[:, o])
-            if o < len(self.solids):
-                direction = self.solids[o].reach(cloud.x[who])[1]
+            if o < first:
+                surface = self.solids[o] if o < len(self.solids) else self.openings[o - len(self.solids)]
+                direction = surface.reach(cloud.x[who])[1]
             else:
                 direction = np.zeros((len(who), gdim))
-                direction[:, self.supports[o - len(self.solids)][2]] = 1.0
+                direction[:, self.supports[o - first][2]] = 1.0
             rest = direction - np.einsum("kij,kj,kid->kd", normals[who], direction, normals[who])  # rows so far are orthogonal
             # A wall and a support, or two walls, in one plane constrain once.
             new = (np.linalg.norm(rest, axis=1) > 0.1) & (count[who] < gdim)
@@ -246,6 +309,8 @@ class Obstacles:
             if math.isinf(solid.friction):
                 cloud.v[on] = solid.velocity
             field[cloud.carried > 0, o] = 0.0  # what flies slides along it, and may leave at once
+        for outlet in self.outlets:
+            field[outlet.plane.height(cloud.x) > SLIP * cloud.size, outlet.column] = 0.0
         budget.book("wall", budget.look(cloud, cells))
         moved = (cloud.x != start).any(axis=1)
         if cloud.x.shape[1] == 2 and moved.any():
@@ -262,11 +327,12 @@ class Obstacles:
         A node that was let go is held again when it has come back through the obstacle, or moves towards it within its touch.
         """
         mass, field = lumped(cloud, cells), cloud.fields["held"]
+        kept = field[:, [inlet.column for inlet in self.inlets]].any(axis=1)  # they are pushed in there, whatever it takes
         scale = 1e-9 * np.abs(force).max(initial=0.0)  # a reaction of zero, to rounding, holds
         let = np.zeros(cloud.n, bool)
         for o, solid in enumerate(self.solids):
             _, normals = solid.reach(cloud.x)
-            pull = (field[:, o] > 0.999) & (np.einsum("nd,nd->n", force, normals) < -scale) & (mass > 0)
+            pull = ~kept & (field[:, o] > 0.999) & (np.einsum("nd,nd->n", force, normals) < -scale) & (mass > 0)
             field[pull, o] = 0.0
             let |= pull
         budget.jolted |= bool(let.any())

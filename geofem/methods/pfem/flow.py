@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,7 +45,10 @@ class Scheme:
 
 
 class Flow:
-    """The solver of a scene's fluid; on every rank. ``reaction`` (n, gdim): force of obstacles on the nodes in the last step (N)."""
+    """The solver of a scene's fluid; on every rank.
+
+    ``reaction`` (n, gdim): force of obstacles on the nodes in the last step (N), ``traction`` that of what is beyond outlets.
+    """
 
     def __init__(self, comm: MPI.Intracomm, scene: Scene, scheme: Scheme):
         self.comm, self.scene, self.scheme = comm, scene, scheme
@@ -53,9 +57,10 @@ class Flow:
         self.density, self.law = material.density, material.law
         self.tension = self.par.get("surface_tension", 0.0)
         self.springs = bool(scene.rigids) or self.tension > 0 or any(0 < wall.friction < np.inf for wall in scene.walls)
+        self.springs |= any(outlet.traction is not None for outlet in scene.outlets)
         self.forms: FlowForms = flow_forms(scene.gdim, scheme.element, self.law, self.springs)
         self.system: FluidSystem | None = None
-        self.reaction = np.zeros((0, scene.gdim))
+        self.reaction = self.traction = np.zeros((0, scene.gdim))
         self.factorisations = self.linear = self.iterations = 0
 
     def constants(self) -> dict[str, float]:
@@ -93,17 +98,19 @@ class Flow:
         gravity = self.gravity(t + scheme.theta * dt)
         system.constants["gravity"].value[:] = gravity
         system.set_start(cloud.x, cloud.v, cloud.p, scheme.theta)
-        ties = Ties(self, cloud, mesh, obstacles, dt, gravity)
+        ties = Ties(self, cloud, mesh, obstacles, t, dt, gravity)
         adjust = ties.adjust if self.springs else None
         # a heap that has come to rest has no velocity to measure by, and its friction settles no better than that of one that flows
         still = scheme.tolerance if self.law == "mu_i" else ROUNDING
-        system.solve(dt, scheme.theta, CONFIGURATIONS[scheme.configuration], ties.held, scheme.tolerance, still, adjust)
+        way = CONFIGURATIONS[scheme.configuration]
+        system.solve(dt, scheme.theta, way, ties.held, ties.speed, scheme.tolerance, still, adjust)
         force = system.residual()
         local = np.column_stack([system.velocity(), system.pressure(), force[system.velocity_dofs]])
         whole = system.everywhere(cloud.n, local)
         gdim = self.scene.gdim
         u, p, force = whole[:, :gdim], whole[:, gdim], whole[:, gdim + 1 :]
         self.reaction = np.where(ties.held, force, 0.0) + ties.force(u)
+        self.traction = ties.traction
         self.factorisations += system.factorisations
         self.linear += system.solver.iterations
         self.iterations += system.iterations
@@ -116,13 +123,16 @@ class Flow:
 
 
 class Ties:
-    """What obstacles and surface tension do to nodes in one step: components that are held, springs and forces."""
+    """What obstacles, outlets and surface tension do to nodes in one step: components that are held, springs and forces.
 
-    def __init__(self, flow: Flow, cloud: Cloud, mesh: Tessellation, obstacles: Contact, dt: float, gravity: Array):
+    held (n, gdim) bool, with the ``speed`` (n, gdim) (m/s) of those components. traction (n, gdim): force of outlets (N).
+    """
+
+    def __init__(self, flow: Flow, cloud: Cloud, mesh: Tessellation, obstacles: Contact, t: float, dt: float, gravity: Array):
         self.flow, self.cloud, self.mesh, self.dt = flow, cloud, mesh, dt
         n, gdim = cloud.x.shape
         touch = obstacles.touch(cloud)
-        self.held = np.zeros((n, gdim), bool)
+        self.held, self.speed = np.zeros((n, gdim), bool), np.zeros((n, gdim))
         self.spring, self.pull = np.zeros((n, gdim, gdim)), np.zeros((n, gdim))
         par = flow.par
         scale = flow.density * node_volumes(cloud.x, mesh.cells) / dt + par.get("mu", 0.0) * cloud.size ** (gdim - 2)
@@ -132,10 +142,12 @@ class Ties:
             on = touch.obstacle[:, row] >= 0
             normal, speed = touch.normals[:, row], touch.speed[:, row]
             still = ~np.any(touch.velocity[:, row], axis=1)
-            straight = on & still & (np.abs(normal).max(axis=1) > 1 - 1e-12)
+            straight = on & (np.abs(normal).max(axis=1) > 1 - 1e-12)
             stick = on & np.isinf(touch.friction[:, row])
             axis = np.abs(normal).argmax(axis=1)
-            self.held[np.flatnonzero(straight), axis[straight]] = True
+            face = np.flatnonzero(straight)
+            self.held[face, axis[face]] = True
+            self.speed[face, axis[face]] = speed[face] * normal[face, axis[face]]
             self.held[stick & still] = True
             who = np.flatnonzero(on & ~straight & ~(stick & still))
             stiff = STIFF * scale[who]
@@ -150,6 +162,12 @@ class Ties:
             if len(who):
                 self.rub.append((who, normal[who], touch.friction[who, row], touch.velocity[who, row]))
         self.now = self.spring, self.pull
+        self.traction = np.zeros((n, gdim))
+        self.exits, self.then = [], t + flow.scheme.theta * dt
+        for outlet in obstacles.outlets:
+            if outlet.traction is not None:
+                on = cloud.fields["held"][:, outlet.column] > 0.999
+                self.exits.append((mesh.facets[on[mesh.facets].all(axis=1)], outlet.traction))
 
     def adjust(self, x: Array, u: Array, force: Array) -> tuple[Array, Array, Array]:
         """Springs (n, gdim, gdim), forces (n, gdim) and volumes (n,) of the nodes in an iteration.
@@ -167,6 +185,9 @@ class Ties:
             spring[who] += drag
             pull[who] += np.einsum("nij,nj->ni", drag, velocity)
         self.now = spring, pull
+        if self.exits:
+            self.traction = np.sum([traction_force(x, facets, told, self.then) for facets, told in self.exits], axis=0)
+            pull = pull + self.traction
         if self.flow.tension:
             # The shortest ripples would not settle if the surface only pulled: it also resists, node by node.
             stiff = CONFIGURATIONS[self.flow.scheme.configuration] * self.dt
@@ -179,6 +200,17 @@ class Ties:
         """Force of springs and friction on the nodes (n, gdim) (N)."""
         spring, pull = self.now
         return pull - np.einsum("nij,nj->ni", spring, u)
+
+
+def traction_force(x: Array, facets: Array, traction: Callable[[Array, float], Array], t: float) -> Array:
+    """Nodal forces (n, 2) (N) of a traction (Pa) at t, linear along each of the facets (k, 2), of a boundary in the plane."""
+    out = np.zeros_like(x)
+    a, b = facets.T
+    length = np.linalg.norm(x[a] - x[b], axis=1)[:, None]
+    at_a, at_b = (np.asarray(traction(x[end].T, t), float).T for end in (a, b))
+    np.add.at(out, a, length * (2 * at_a + at_b) / 6)
+    np.add.at(out, b, length * (at_a + 2 * at_b) / 6)
+    return out
 
 
 def surface_force(x: Array, facets: Array, tension: float) -> Array:

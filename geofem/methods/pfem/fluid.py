@@ -38,8 +38,8 @@ def refuses(scene: Scene) -> str | None:
         return "pfem flows one material at a time"
     if any(load.kind == "body" for load in scene.loads):
         return "pfem drives fluids by gravity, not by a body force"
-    if scene.gdim == 3 and scene.rigids:
-        return "pfem knows rigid bodies in the plane only"
+    if scene.gdim == 3 and (scene.rigids or scene.inlets or scene.outlets):
+        return "pfem knows rigid bodies, inlets and outlets in the plane only"
     return None
 
 
@@ -57,6 +57,8 @@ def build_fluid(
     for name, value, known in choices:
         if value not in known:
             raise unknown(name, value, known)
+    if tessellation == "alpha" and (scene.inlets or scene.outlets):
+        raise Mistake("knob tessellation = 'alpha': inlets and outlets need a boundary that is kept; use constrained")
     if not isinstance(n, int) or n < 1:
         raise Mistake(f"knob n = {n!r}: the number of cells across the scene's length is a whole number, at least 1")
     if not isinstance(compressible, bool):

@@ -12,10 +12,11 @@ from mpi4py import MPI
 from geofem.core.mpi import on_root
 from geofem.cost import phase
 from geofem.methods.pfem import answers
-from geofem.methods.pfem.budget import Budget, lumped, node_volumes, volumes
+from geofem.methods.pfem.budget import KINDS, OPEN, Budget, lumped, node_volumes, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme
+from geofem.methods.pfem.openings import fill, leaving, let_in
 from geofem.methods.pfem.particles import beside_walls
 from geofem.methods.pfem.resample import needs, remesh
 from geofem.methods.pfem.surface import Rules
@@ -53,6 +54,7 @@ class FluidModel:
         if scene.initial_velocity is not None:
             cloud.v[:] = scene.initial_velocity(cloud.X.T).T
         self.budget = Budget(self.flow.gravity(0.0))
+        self.budget.jolted = fill(cloud, obstacles)
         self._stale = True
         self.kept = not isinstance(tessellator, AlphaShape)
         """Whether the boundary is that of the step before; an alpha shape finds it anew in every step."""
@@ -61,6 +63,8 @@ class FluidModel:
         self._worst = 0.0
         self._energy = {"internal": 0.0, "external": 0.0}
         self.impulse = np.zeros(scene.gdim)
+        self._reactions = np.zeros((len(obstacles.names), scene.gdim))
+        """Forces of the obstacles on the nodes in the last step (N)."""
         self._pushed = self.flow.density * math.sqrt(2 * self.start.volume * self.start.kinetic)
         """Sizes of all impulses of gravity and of the first momentum (N s), the scale of what ought to be nought."""
         self._places = answers.Places(scene, cloud, mesh.cells)
@@ -133,12 +137,14 @@ class FluidModel:
         mass = self.flow.density * node_volumes(cloud.x + way * dt * u, mesh.cells)
         powers = self.flow.powers()
         self._energy["internal"] += dt * float(powers.sum())
-        work = float((mass[:, None] * gravity * u).sum()) + float((self.flow.reaction * u).sum())
+        pushed = self.flow.reaction + self.flow.traction
+        self._reactions = answers.reactions(self.obstacles, cloud, self.flow.reaction)
+        work = float((mass[:, None] * gravity * u).sum()) + float((pushed * u).sum())
         flown = self.flow.density * cloud.carried
         fall = cloud.v * dt + 0.5 * dt * dt * gravity
         self._energy["external"] += dt * work + float((flown[:, None] * fall * gravity).sum())
         self._pushed += dt * float((mass + flown).sum()) * float(np.linalg.norm(gravity))
-        self.impulse += dt * ((mass + flown).sum() * gravity + self.flow.reaction.sum(axis=0))
+        self.impulse += dt * ((mass + flown).sum() * gravity + pushed.sum(axis=0))
         cloud.x = np.where(flying[:, None], cloud.x + fall, cloud.x + dt * u)
         cloud.v = np.where(flying[:, None], cloud.v + dt * gravity, new)
         cloud.p = np.where(flying, 0.0, cloud.p + (p - cloud.p) / theta if self.scheme.compressible else p)
@@ -151,6 +157,7 @@ class FluidModel:
             self.obstacles.follow(self.t, dt)
             self.obstacles.release(self.cloud, self.flow.reaction, self.mesh.cells, self.budget)
             self.obstacles.clip(self.cloud, self.mesh.cells, self.budget)
+            let_in(self.cloud, self.mesh, self.obstacles, self.t, self.budget)
         ids = self.cloud.id
         with phase("remesh"):
             made = on_root(self.comm, lambda: self._remesh(dt))
@@ -163,11 +170,18 @@ class FluidModel:
             same = np.array_equal(made.cells, self.mesh.cells) and np.array_equal(ids, self.cloud.id)
             self.mesh, self._stale = made, not same
             self.work["remeshes"] += 1
-        drift = self.budget.now.volume / self.start.volume - 1.0
-        self._worst = max(self._worst, drift, key=abs)
+        self._worst = max(self._worst, self._drift(), key=abs)
+
+    def _drift(self) -> float:
+        """Volume that was made, by that of the start."""
+        return (self.budget.now.volume - self.budget.passed().volume) / self.start.volume - 1.0
 
     def _remesh(self, dt: float) -> Tessellation | None:
-        if self.kept and not needs(self.cloud, self.mesh, self.rules, self.budget, dt):
+        if (
+            self.kept
+            and not leaving(self.cloud, self.obstacles)
+            and not needs(self.cloud, self.mesh, self.rules, self.budget, dt)
+        ):
             return None
         made = remesh(self.cloud, self.mesh, self.obstacles, self.tessellator, self.rules, self.budget, dt)
         if "fixed" in self.cloud.fields:
@@ -179,7 +193,9 @@ class FluidModel:
     def probe(self, probe: Probe) -> float:
         """The sampled number of a probe; see ``Probe`` for the quantities."""
         if probe.quantity == "reaction":
-            return float(answers.reaction(self.obstacles, self.cloud, self.flow.reaction, str(probe.of))[probe.component])
+            return float(self._reactions[self.obstacles.names.index(str(probe.of)), probe.component])
+        if probe.quantity in OPEN:
+            return abs(self.budget.of[probe.quantity].volume)
         cloud, volume = self.cloud, lumped(self.cloud, self.mesh.cells)
         if probe.quantity == "volume":
             return float(volume.sum())
@@ -190,13 +206,18 @@ class FluidModel:
 
     def _taken(self) -> dict[str, float]:
         """Kinetic energy (J) that each kind of change between the steps took: inelastic impacts, and nodes made anew."""
-        return {kind: -self.flow.density * self.budget.of[kind].kinetic for kind in self.budget.of if kind != "lagrangian"}
+        kinds = set(self.budget.of) - {"lagrangian", *OPEN}
+        return {kind: -self.flow.density * self.budget.of[kind].kinetic for kind in KINDS if kind in kinds}
+
+    def _put_in(self) -> float:
+        """Work of gravity, of what moves and of what is beyond outlets, and the kinetic energy that came in less what left (J)."""
+        return self._energy["external"] + self.flow.density * self.budget.passed().kinetic
 
     def energy(self) -> dict[str, float]:
         """Kinetic energy; ``internal``: heat of viscosity, of the stabilisation and of impacts, and the energy of the surface;
-        ``external``: work of gravity and of what moves."""
+        ``external``: work of gravity, of what moves and of outlets' tractions, and what comes in less what leaves."""
         kinetic = self.flow.density * answers.kinetic(self.cloud, self.mesh.cells)
-        heat, work = self._energy["internal"] + sum(self._taken().values()), self._energy["external"]
+        heat, work = self._energy["internal"] + sum(self._taken().values()), self._put_in()
         surface = answers.surface(self.cloud.x, self.mesh.facets) if self.flow.tension else 0.0
         return {"kinetic": kinetic, "internal": heat + self.flow.tension * surface, "external": work}
 
@@ -206,14 +227,14 @@ class FluidModel:
         ``volume_`` and ``energy_`` with a kind of change: what it made in volume, and took of the energy that was put in.
         """
         now = self.budget.now
-        put_in = self.flow.density * self.start.kinetic + abs(self._energy["external"])
-        drift = now.volume / self.start.volume - 1.0
+        put_in = self.flow.density * self.start.kinetic + abs(self._put_in())
+        drift = self._drift()
         lost = self.flow.density * (now.momentum - self.start.momentum) - self.impulse
-        for kind in ("wall", "resample"):
+        for kind in ("wall", "resample", *OPEN):
             # what obstacles took when nodes were put on them, and from nodes that were made anew on them
             lost -= self.flow.density * self.budget.of[kind].momentum
         momentum = float(np.linalg.norm(lost)) / self._pushed if self._pushed > 0 and self.scheme.element == "p1p1" else None
-        made = {f"volume_{kind}": amount.volume / self.start.volume for kind, amount in self.budget.of.items()}
+        made = {f"volume_{kind}": self.budget.of[kind].volume / self.start.volume for kind in KINDS if kind not in OPEN}
         taken = {f"energy_{kind}": energy / put_in for kind, energy in self._taken().items()} if put_in > 0 else {}
         return {"mass": drift, "momentum": momentum, "volume": self._worst, **made, **taken}
 
@@ -238,7 +259,7 @@ class FluidModel:
     def state(self) -> dict[str, Array]:
         numbers = [self.t, self._limit, self._worst, self._pushed, *self._energy.values(), *self.impulse]
         out = {"numbers": np.array(numbers), "work": np.array(list(self.work.values()), float)}
-        out |= {"cells": self.mesh.cells, "facets": self.mesh.facets, "reaction": self.flow.reaction}
+        out |= {"cells": self.mesh.cells, "facets": self.mesh.facets, "reactions": self._reactions}
         out |= answers.cloud_state(self.cloud) | answers.budget_state(self.budget)
         return out
 
@@ -252,7 +273,7 @@ class FluidModel:
         )
         cells = state["cells"].astype(np.int64)
         self.mesh = Tessellation(cells, state["facets"].astype(np.int64), np.arange(len(cells)))
-        self.flow.reaction = state["reaction"]
+        self._reactions = state["reactions"]
         answers.restore_cloud(self.cloud, state)
         answers.restore_budget(self.budget, state)
         self.budget.look(self.cloud, self.mesh.cells)

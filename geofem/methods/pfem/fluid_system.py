@@ -146,18 +146,19 @@ class FluidSystem:
         vector.scatter_reverse(la.InsertMode.add)
         return vector.array
 
-    def solve(self, dt: float, theta: float, way: float, held: Array, tolerance: float, still: float,
+    def solve(self, dt: float, theta: float, way: float, held: Array, given: Array, tolerance: float, still: float,
               adjust: Adjust | None = None) -> None:  # fmt: skip
         """Find w: the velocity and pressure at t + theta dt, on the configuration at t + way dt.
 
-        held : (n, gdim) bool, velocity components of the cloud's nodes that are zero. tolerance, still : the last change of the
-        velocity may be so much of the largest one, or of what gravity gives in the step. adjust : (places, velocities, forces
-        out of balance of all nodes) -> springs (N s/m), forces (N) and volumes (m2 or m3) of all nodes in the present iteration.
+        held : (n, gdim) bool, velocity components of the cloud's nodes that are given, by ``given`` (n, gdim) (m/s). tolerance,
+        still : the last change of the velocity may be so much of the largest one, or of what gravity gives in the step.
+        adjust : (places, velocities, forces out of balance of all nodes) -> springs (N s/m), forces (N) and volumes (m2 or m3) of
+        all nodes in the present iteration.
         Raises ``Breakdown`` (newton).
         """
         self.constants["dt"].value = theta * dt
         fixed = self.velocity_dofs[held[self.nodes]]
-        self.w.x.array[fixed] = 0.0
+        self.w.x.array[fixed] = given[self.nodes][held[self.nodes]]
         rows = fixed[fixed < self.owned_dofs]
         bcs = self._conditions(held[self.nodes])
         least = still * dt * float(np.linalg.norm(self.constants["gravity"].value))
@@ -191,7 +192,7 @@ class FluidSystem:
         )
 
     def _conditions(self, held: Array) -> list[fem.DirichletBC]:
-        """Zero velocity components, held (local nodes, gdim)."""
+        """Velocity components that do not change in an iteration, held (local nodes, gdim)."""
         zero = fem.Constant(self.mesh, PETSc.ScalarType(0.0))
         velocity = self.space if self.space.num_sub_spaces == self.gdim + 1 else self.space.sub(0)
         dofs = [np.sort(self.velocity_dofs[held[:, i], i]).astype(np.int32) for i in range(self.gdim)]

@@ -6,7 +6,7 @@ import numpy as np
 
 from geofem.methods.pfem.budget import Budget
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Convex, Plane, Touch, planes_of
+from geofem.methods.pfem.contact import Convex, Inflow, Outflow, Plane, Touch, planes_of
 from geofem.methods.pfem.tessellation import Tessellation
 from geofem.methods.pfem.tessellation.common import finished
 from geofem.mistake import Mistake
@@ -22,10 +22,13 @@ class WallParticles:
     """Walls of a plane scene as particles, ``fixed`` among the cloud's fields; nodes of the first mesh on a wall are such."""
 
     def __init__(self, scene: Scene, cloud: Cloud):
-        if scene.gdim != 2 or scene.rigids or scene.supports or not scene.walls or scene.room is None:
+        openings = scene.inlets or scene.outlets
+        if scene.gdim != 2 or scene.rigids or scene.supports or openings or not scene.walls or scene.room is None:
             raise Mistake(f"knob walls = 'fixed': scene {scene.name} must have walls only, in the plane, and a room; use slide")
-        self.planes = planes_of(scene, cloud)
+        self.planes = planes_of(scene.walls, scene, cloud)
         self.rigids: list[Convex] = []
+        self.inlets: list[Inflow] = []
+        self.outlets: list[Outflow] = []
         self.names = [plane.name for plane in self.planes]
         near = np.zeros(cloud.n, bool)
         rows = []
@@ -58,7 +61,7 @@ class WallParticles:
         """(n, 1) bool."""
         return (cloud.fields["fixed"] > 0.5)[:, None]
 
-    def touch(self, cloud: Cloud) -> Touch:
+    def touch(self, cloud: Cloud, *, outlets: bool = False) -> Touch:
         """Particles of the wall are held in all directions, by the wall nearest; in a corner by both."""
         n, gdim = cloud.x.shape
         fixed = self.held(cloud)[:, 0]

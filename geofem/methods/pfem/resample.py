@@ -13,6 +13,7 @@ from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
+from geofem.methods.pfem.openings import leaving, let_out
 from geofem.methods.pfem.surface import Rules, change_boundary
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
 from geofem.methods.pfem.tessellation.simplices import parents, quality
@@ -246,17 +247,25 @@ def remesh(
 ) -> Tessellation:
     """New nodes, boundary and cells after a step; dt (s) is the step to come. Mutates the cloud.
 
-    ``parents`` of the answer are rows of the tessellation that was given. Volume is kept but for what the budget says, momentum
-    patch by patch (components at obstacles excepted), and so is the mass of nodes that have a density (field ``density``).
+    ``parents`` of the answer are rows of the tessellation that was given. What has passed an outlet goes. Volume is kept but for what
+    the budget says, momentum patch by patch (components at obstacles excepted), and so is the mass of nodes that have a density
+    (field ``density``).
     """
     booked = budget.total()
-    before = Carried.of(cloud, tessellation.cells)
+    before, flying = Carried.of(cloud, tessellation.cells), cloud.carried > 0
     facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
+    left = useless
+    if leaving(cloud, obstacles):
+        facets, left, lost = let_out(cloud, tessellation.cells, facets, obstacles, budget)
+        before.of_cells[:, 1:] -= lost
+        np.subtract.at(before.of_nodes[:, 1:], tessellation.cells, lost[:, None] / 3)
+        before.of_nodes[left[: len(flying)] & flying] = 0.0
     if rules.boundary:
         facets, useless, links = change_boundary(cloud, facets, obstacles, rules, dt, budget)
     else:
         budget.owed = budget.owed[:0]
     links = cloud.id[links]
+    useless[: len(left)] |= left
     gone = useless | removable(cloud, tessellation.cells, facets, obstacles.held(cloud), rules)
     whole = ~(gone | (cloud.carried > 0))[tessellation.cells].any(axis=1)
     rows = np.flatnonzero(whole)

@@ -49,7 +49,7 @@ class Obstacle:
 def obstacles(scene: Scene, cloud: Cloud) -> list[Obstacle]:
     """The walls and rigid bodies of a scene."""
     out = []
-    for wall, plane in zip(scene.walls, planes_of(scene, cloud)):
+    for wall, plane in zip(scene.walls, planes_of(scene.walls, scene, cloud)):
         point = np.zeros(2)
         point[plane.axis] = plane.place
         out.append(Obstacle(wall.name, wall.friction, plane.normal[None], point[None], wall))

@@ -122,6 +122,8 @@ def refuses_solid(scene: Scene) -> str | None:
     """Why the solids of this scene are not for pfem, in a sentence; None if they are."""
     if scene.plane != "plane_strain":
         return "pfem has solids in plane strain only"
+    if scene.inlets or scene.outlets:
+        return "pfem has inlets and outlets for fluids only"
     small = scene.strain == "small"
     for region in scene.regions:
         law = materials.LAWS[region.material.law]

@@ -83,7 +83,7 @@ def change_boundary(
     volume, whose momenta are to be balanced together.
     """
     facets = split(cloud, facets, rules.coarse)
-    touch = obstacles.touch(cloud)
+    touch = obstacles.touch(cloud, outlets=True)
     held, level = obstacles.held(cloud), touch.count
     tangent = np.column_stack([-touch.normals[:, 0, 1], touch.normals[:, 0, 0]])
     x, v = np.ascontiguousarray(cloud.x), np.ascontiguousarray(cloud.v)

@@ -40,6 +40,8 @@ class Xfem:
             return "xfem lets cracks grow whose faces are free or touch without friction: those with a memory do not grow yet"
         if scene.walls or scene.rigids:
             return "xfem has no contact with walls or rigid bodies; use a material point method"
+        if scene.inlets or scene.outlets:
+            return "xfem has no inlets and outlets; use pfem"
         return None
 
     def build(
