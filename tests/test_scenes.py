@@ -10,6 +10,7 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
+from made import inside
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -42,13 +43,6 @@ def curve(tmp_path, monkeypatch):
     """Lets beam_drop compare with a curve of three points."""
     (tmp_path / "beam_drop.csv").write_text(CURVE)
     monkeypatch.setattr(reference, "FOLDER", tmp_path)
-
-
-def inside(shape, scene, count=400):
-    """Random points of a shape, (2, n)."""
-    low, high = np.array(shape.bounds)
-    x = np.random.default_rng(1).uniform(low, high, (count, len(low))).T
-    return x[:, shape.contains(x)]
 
 
 # --- the registry -----------------------------------------------------------------------------------------------------
@@ -112,7 +106,7 @@ def test_scene_is_sound(name, knobs):
         materials.check(region.material, f"{name} {knobs}")
         law = materials.LAWS[region.material.law]
         assert law.small if scene.strain == "small" else law.finite
-        x = inside(region.shape, scene)
+        x = inside(region.shape)
         assert x.shape[1] > 100
         for support in scene.supports:
             assert not support.where(x).any(), f"support {support.name} holds points inside the body"
@@ -393,7 +387,7 @@ def test_vortex_holds_its_circles_and_starts_at_rest():
     for R in (vortex.INNER, vortex.OUTER):
         x = R * np.array([np.cos(angle), np.sin(angle)])
         assert np.abs(vortex.exact_displacement(1.0, x, 0.4)).max() < 1e-14
-    x = inside(scene.regions[0].shape, scene)
+    x = inside(scene.regions[0].shape)
     speed = central(lambda t: vortex.exact_displacement(1.0, x, t), 0.0, 1e-3)
     assert np.abs(speed).max() < 1e-12, "no initial velocity is prescribed, so the motion must start at rest"
     assert np.abs(vortex.exact_displacement(1.0, x, 1.0)).max() < 1e-13, "after a cycle all is back"

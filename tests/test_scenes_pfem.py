@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made import inside, made, measure
 from scipy.integrate import quad
 
 from geofem import materials, scenes
 from geofem.mistake import Mistake
 from geofem.reference import series, table
-from geofem.scene import Array, Measure, Scene
+from geofem.scene import Array
 from geofem.scenes import bingham_slump, dam_break, hydrostatic, sloshing, square_drop
 
 CASES: list[tuple[str, dict[str, Any]]] = [
@@ -25,21 +26,6 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     *[("film", {"law": law}) for law in ("newtonian", "bingham")],
     *[("sloshing", knobs) for knobs in ({}, {"A": 0.001, "nu": 0.0}, {"nu": 0.01})],
 ]
-
-
-def made(name: str, **knobs: Any) -> Scene:
-    return scenes.get(name)(**knobs)
-
-
-def measure(scene: Scene, name: str) -> Measure:
-    return next(one for one in scene.measures if one.name == name)
-
-
-def inside(shape: Any, count: int = 2000) -> Array:
-    """Random points of a shape, (gdim, n)."""
-    low, high = np.array(shape.bounds)
-    x = np.random.default_rng(1).uniform(low, high, (count, len(low))).T
-    return x[:, shape.contains(x)]
 
 
 # --- every scene ------------------------------------------------------------------------------------------------------

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from blocks import block, solved
+from made import inside, made, measure
 from scipy.optimize import brentq
 
 import geofem
 from geofem import materials, scenes
 from geofem.mistake import Mistake
 from geofem.reference import reference, series, table
-from geofem.scene import Array, Box, Disc, Measure, Polygon, Probe, Reference, Scene
+from geofem.scene import Array, Box, Disc, Measure, Polygon, Probe, Reference
 from geofem.scenes import axis_aligned, collision, column_collapse, dam_break, footing, slope, slope_runout, stretch, wedge
 
 CASES: list[tuple[str, dict[str, Any]]] = [
@@ -31,21 +32,6 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     *[("footing", {"strain": "finite", "depth": depth}) for depth in (0.02, 0.1, 1.0)],
 ]
 CONTACT = ("column_collapse", "dam_break", "slope_runout", "wedge")
-
-
-def made(name: str, **knobs: Any) -> Scene:
-    return scenes.get(name)(**knobs)
-
-
-def measure(scene: Scene, name: str) -> Measure:
-    return next(one for one in scene.measures if one.name == name)
-
-
-def inside(shape: Any, count: int = 2000) -> Array:
-    """Random points of a shape, (2, n)."""
-    low, high = np.array(shape.bounds)
-    x = np.random.default_rng(1).uniform(low, high, (count, 2)).T
-    return x[:, shape.contains(x)]
 
 
 def central(f: Any, x: Any, h: float) -> Any:
