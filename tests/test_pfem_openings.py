@@ -128,6 +128,13 @@ def test_a_tank_fills_by_what_comes_in() -> None:
     assert result.history["volume"][-1] == pytest.approx(WIDE**2 + WIDE * 0.6, rel=1e-5)
 
 
+def test_when_all_has_left_the_run_ends_and_says_so() -> None:
+    parts = {"inlets": (), "walls": (), "outlets": (Outlet("end", at_least(0, 0.25), (-1.0, 0.0)),), "probes": (), "t_end": 0.8}
+    result = geofem.run(channel(**parts), method="pfem", n=2)
+    assert result.status == "failed" and result.cause == "volume" and "left" in str(result.message)
+    assert result.at["t"] == pytest.approx(0.5, rel=0.2)  # 0.25 m beyond, at 0.5 m/s
+
+
 # --- the clip ---------------------------------------------------------------------------------------------------------
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10**6))

@@ -1,5 +1,7 @@
 """Solids by the particle finite element method: domains, patch, footing."""
 
+import inspect
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,10 @@ from scipy.spatial import Delaunay
 import geofem  # noqa: F401
 from geofem import scenes
 from geofem.methods.pfem import Pfem, solid_domains
+from geofem.methods.pfem.cloud import Cloud
+from geofem.methods.pfem.resample import Carried, balance
+from geofem.methods.pfem.solid_model import build_solid
+from geofem.methods.pfem.tessellation import Tessellation
 
 
 def random_mesh(seed, k=40):
@@ -43,9 +49,16 @@ def test_domains_see_a_linear_field_exactly_and_push_in_balance(seed):
         assert np.allclose(force.sum(axis=0), 0.0, atol=1e-12)
 
 
+def build(scene, **knobs):
+    """The solid of a scene, also of mu(I), which ``Pfem.build`` would take as a fluid; its defaults."""
+    known = inspect.signature(build_solid).parameters
+    defaults = {name: value for name, value in Pfem.build.__kwdefaults__.items() if name in known}
+    return build_solid(scene, **{**defaults, **knobs})
+
+
 def solve(scene, **knobs):
     """The model at the end of its run, and the samples of its probes."""
-    model = Pfem().build(scene, **knobs)
+    model = build(scene, **knobs)
     history = {"t": [], **{p.name: [] for p in scene.probes}}
     while model.t < scene.t_end - 1e-9:
         model.step(min(model.dt(), scene.t_end - model.t))
@@ -105,19 +118,36 @@ def test_averaged_history_of_triangles_runs_to_its_end_and_loses_what_is_copied(
 def test_column_collapses():
     """The heap stands as high as those of experiments; momentum is that of the forces, mesh by mesh, and energy is accounted for."""
     scene = scenes.get("column_collapse")()
-    model, history = solve(scene, n=6)
+    model, history = solve(scene, n=10)
     assert error_of(scene, history, "height") < 0.1
     checks, energy = model.checks(), model.energy()
     assert model.work["remeshes"] > 50
-    assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.03 and checks["momentum"] < 1e-12
+    assert checks["mass"] < 1e-12 and abs(checks["volume"]) < 0.02 and checks["momentum"] < 1e-12
     assert energy["kinetic"] + energy["internal"] == pytest.approx(energy["external"], rel=0.05)
+
+
+def test_mass_and_momentum_of_patches_stay_and_of_what_vanishes_go_to_the_nearest():
+    rng = np.random.default_rng(1)
+    x = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [3, 0], [4, 0], [3, 1], [1.2, 5], [2.2, 5], [1.2, 6]])
+    cloud = Cloud.at_rest(x, np.ones(10))
+    cloud.v, cloud.fields["density"] = rng.normal(size=(10, 2)), rng.uniform(1, 2, 10)
+    facets = np.zeros((0, 2), np.int64)
+    before = Carried.of(cloud, np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [7, 8, 9]]))
+    kept = cloud.v[7:].copy(), cloud.fields["density"][7:].copy()
+    cloud.keep(np.isin(np.arange(10), (4, 5, 6), invert=True))  # the piece at the right is gone
+    # the diagonal is flipped, and the piece above is as it was
+    new = Tessellation(np.array([[0, 1, 3], [1, 2, 3], [4, 5, 6]]), facets, np.array([-1, -1, 3]))
+    balance(cloud, new, before, facets, np.zeros((7, 2), bool))
+    after = Carried.of(cloud, new.cells)
+    assert np.allclose(after.of_nodes.sum(axis=0), before.of_nodes.sum(axis=0), rtol=1e-13)
+    assert np.array_equal(cloud.v[4:], kept[0]) and np.array_equal(cloud.fields["density"][4:], kept[1])
 
 
 @pytest.mark.parametrize("name", ["wedge", "column_collapse"])
 def test_checkpoint(name):
     """A model that takes up the state of another one goes on as that does."""
     scene = scenes.get(name)()
-    first, second = Pfem().build(scene, n=4), Pfem().build(scene, n=4)
+    first, second = build(scene, n=4), build(scene, n=4)
     for _ in range(12):
         first.step(first.dt())
     second.restore({key: np.array(value) for key, value in first.state().items()})
@@ -133,7 +163,7 @@ def test_checkpoint(name):
 def test_bodies_touch_by_the_mesh_between_them():
     """Two discs are pressed together and part: momentum stays to rounding, most of the energy comes back."""
     scene = scenes.get("collision")()
-    model = Pfem().build(scene, n=14)
+    model = build(scene, n=14)
     before, least = model.energy()["kinetic"], np.inf
     while model.t < 3.0:
         model.step(model.dt())

@@ -158,6 +158,11 @@ LADDERS: dict[str, list[Ladder]] = {
         pfem("sloshing", "backward Euler, end", (10, 20, 40), {"theta": 1.0, "configuration": "end"}),
         points("sloshing", "mpm-gimp", (10, 20)),
     ],
+    "film": [
+        pfem("film", "", (5, 10, 20)),
+        pfem("film", "Bingham", (5, 10), law="bingham"),
+        pfem("film", "grains", (5, 10, 20), law="mu_i"),
+    ],
     "square_drop": [
         pfem("square_drop", "", (4, 8, 16), shape="disc"),
     ],

@@ -95,6 +95,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         self.gravity = np.asarray(self.gravity, float)
+        self.owed = self.owed if len(self.owed) else np.zeros((0, len(self.gravity) + 1))
         self.now = nothing = Amount(0.0, np.zeros(len(self.gravity)), 0.0, 0.0)
         for kind in KINDS:
             self.of.setdefault(kind, nothing)

@@ -290,7 +290,7 @@ class Obstacles:
     def clip(self, cloud: Cloud, cells: Array, budget: Budget) -> Array:
         """Put nodes that went through an obstacle, or that rest on it, back onto it, and stop what moves into it.
 
-        Momentum goes to the obstacle, and is booked as ``wall``; so is the volume (m2 or m3) that this made, which in the plane is
+        Momentum goes to the obstacle, and is booked as ``wall``; so is the volume (m2 or m3) that this made, which is
         owed to the free surface near by. Returns the displacements (n, gdim) (m).
         """
         start, field = cloud.x.copy(), cloud.fields["held"]
@@ -313,10 +313,10 @@ class Obstacles:
             field[outlet.plane.height(cloud.x) > SLIP * cloud.size, outlet.column] = 0.0
         budget.book("wall", budget.look(cloud, cells))
         moved = (cloud.x != start).any(axis=1)
-        if cloud.x.shape[1] == 2 and moved.any():
+        if moved.any():
             near = cells[moved[cells].any(axis=1)]
             made = volumes(cloud.x, near) - volumes(start, near)
-            made[np.abs(made) < 1e-14 * cloud.size[near].mean(axis=1) ** 2] = 0.0
+            made[np.abs(made) < 1e-14 * cloud.size[near].mean(axis=1) ** cloud.x.shape[1]] = 0.0
             due = np.column_stack([cloud.x[near].mean(axis=1), -made])[made != 0]
             budget.owed = np.concatenate([budget.owed, due])
         return cloud.x - start

@@ -91,7 +91,8 @@ def build_fluid(
     obstacles: Contact = Obstacles(scene, cloud) if walls == "slide" else WallParticles(scene, cloud)
     if walls == "fixed":
         mesh = comm.bcast(on_root(comm, lambda: beside_walls(maker(cloud.x, cloud.size, None), cloud)))
-    rules = Rules(boundary=tessellation == "constrained" and scene.gdim == 2)
+    kept = tessellation == "constrained"
+    rules = Rules(boundary=kept and scene.gdim == 2, skin=kept and scene.gdim == 3)
     scheme = Scheme(theta, configuration, element, stabilisation, tolerance, compressible)
     return FluidModel(scene, cloud, mesh, maker, scheme, rules, cfl, longest, obstacles)
 

@@ -47,7 +47,7 @@ def let_in(cloud: Cloud, mesh: Tessellation, obstacles: Contact, t: float, budge
     for inlet in obstacles.inlets:
         on = cloud.fields["held"][:, inlet.column] > 0.999
         if on.sum() < 2:
-            raise Breakdown("inflow", f"the stream tore off the inlet {inlet.plane.name}")
+            raise Breakdown("fracture", f"the stream tore off the inlet {inlet.plane.name}")
         cloud.fields["held"][:, inlet.column] = on  # what lies between a node on the inlet and another is not on it
         a, b = mesh.facets[on[mesh.facets].all(axis=1)].T
         one, two = cloud.x[b] - cloud.X[a], cloud.x[a] - cloud.X[b]
@@ -73,7 +73,7 @@ def let_out(cloud: Cloud, cells: Array, facets: Array, obstacles: Contact, budge
     """Clip the bodies at the outlets. Mutates the cloud, but drops no node.
 
     cells (m, 3), facets (k, 2) : after the step. Returns the new facets, the nodes (n,) bool that have left, and what momentum left
-    with each of the cells, (m, 2).
+    with each of the cells, (m, 2). Raises ``Breakdown`` when nothing is left.
     """
     lost = np.zeros((len(cells), 2))
     left = np.zeros(cloud.n, bool)
@@ -96,6 +96,8 @@ def let_out(cloud: Cloud, cells: Array, facets: Array, obstacles: Contact, budge
         cloud.carried[beyond] = 0.0
         facets = clipped(cloud, cells[rows], facets, outlet, beyond, height)
         left = np.concatenate([left | beyond, np.zeros(cloud.n - len(left), bool)])
+    if len(facets) == 0:
+        raise Breakdown("volume", "all of the material has left through the outlets")
     return facets, left, lost
 
 

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from geofem.methods.pfem.budget import Budget, lumped, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.loops import first_crossing, kernel, link, nearest
 from geofem.methods.pfem.openings import leaving, let_out
+from geofem.methods.pfem.skin import collapse, give_back, lengths, split, swept
 from geofem.methods.pfem.surface import Rules, change_boundary
 from geofem.methods.pfem.tessellation import Tessellation, Tessellator
 from geofem.methods.pfem.tessellation.simplices import parents, quality
@@ -144,10 +146,11 @@ def too_big(cloud: Cloud, cells: Array, rules: Rules) -> Array:
 
 @dataclass
 class Carried:
-    """Mass and momentum (1 + gdim columns), by ids: of_nodes (n, 1 + gdim), flying ones too, and of_cells (m, 1 + gdim) to tell
-    which of the cells are as they were. The density is 1 where the nodes have none (field ``density``)."""
+    """Mass and momentum (1 + gdim columns), by ids: of_nodes (n, 1 + gdim) at x (n, gdim), flying ones too, and of_cells
+    (m, 1 + gdim) to tell which of the cells are as they were. The density is 1 where the nodes have none (field ``density``)."""
 
     id: Array
+    x: Array
     of_nodes: Array
     cells: Array
     of_cells: Array
@@ -158,15 +161,15 @@ class Carried:
         if "density" in cloud.fields:
             amount *= cloud.fields["density"][:, None]
         share = volumes(cloud.x, cells)[:, None] * amount[cells].mean(axis=1)
-        return cls(cloud.id, lumped(cloud, cells)[:, None] * amount, cloud.id[cells], share)
+        return cls(cloud.id, cloud.x, lumped(cloud, cells)[:, None] * amount, cloud.id[cells], share)
 
 
 def balance(cloud: Cloud, tessellation: Tessellation, before: Carried, links: Array, blocked: Array) -> None:
     """Change velocities so that each patch of cells that were made anew has the momentum that was there before, and densities, where
     nodes have them, so that it has the mass.
 
-    A patch is cells, old and new, that hang together by nodes. links (k, 2): ids of nodes that belong to one patch.
-    blocked (n, gdim) bool: components that obstacles prescribe.
+    A patch is cells, old and new, that hang together by nodes; what vanished whole belongs to that of the nearest node.
+    links (k, 2): ids of nodes that belong to one patch. blocked (n, gdim) bool: components that obstacles prescribe.
     """
     now = Carried.of(cloud, tessellation.cells)
     old, new = np.ones(len(before.cells), bool), np.ones(len(now.cells), bool)
@@ -176,15 +179,24 @@ def balance(cloud: Cloud, tessellation: Tessellation, before: Carried, links: Ar
     groups = [before.cells[old], now.cells[new]]
     n = cloud.next_id
     pairs = np.concatenate([np.column_stack([g[:, 0], g[:, k]]) for g in groups for k in range(1, g.shape[1])] + [links])
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    patches, patch = connected_components(graph, directed=False)
-    touched = np.zeros(n, bool)
-    touched[pairs] = True
+
+    def joined() -> tuple[int, Array]:
+        return connected_components(coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n)), directed=False)
 
     def summed(whole: Carried, column: int) -> Array:
         who = touched[whole.id]
         return np.bincount(patch[whole.id[who]], whole.of_nodes[who, column], patches)
 
+    touched = np.zeros(n, bool)
+    touched[pairs] = True
+    patches, patch = joined()
+    gone = (summed(now, 0) <= 0.0) & (summed(before, 0) > 0.0)
+    if gone.any():
+        lost, alive = np.flatnonzero(gone[patch[before.id]] & touched[before.id]), np.flatnonzero(now.of_nodes[:, 0] > 0.0)
+        nearest_alive = alive[cKDTree(now.x[alive]).query(before.x[lost])[1]]
+        pairs = np.concatenate([pairs, np.column_stack([before.id[lost], now.id[nearest_alive]])])
+        touched[pairs] = True
+        patches, patch = joined()
     mine = patch[cloud.id]
     if "density" in cloud.fields:
         ratio = summed(before, 0) / np.maximum(summed(now, 0), 1e-300)
@@ -243,6 +255,7 @@ def remesh(
     booked = budget.total()
     before, flying = Carried.of(cloud, tessellation.cells), cloud.carried > 0
     facets, useless, links = tessellation.facets, np.zeros(cloud.n, bool), np.zeros((0, 2), np.int64)
+    ids, x = cloud.id, cloud.x
     left = useless
     if leaving(cloud, obstacles):
         facets, left, lost = let_out(cloud, tessellation.cells, facets, obstacles, budget)
@@ -251,6 +264,9 @@ def remesh(
         before.of_nodes[left[: len(flying)] & flying] = 0.0
     if rules.boundary:
         facets, useless, links = change_boundary(cloud, facets, obstacles, rules, dt, budget)
+    elif rules.skin:
+        facets = split(cloud, facets, rules.coarse)
+        facets, useless = collapse(cloud, facets, obstacles.held(cloud), rules.fine)
     else:
         budget.owed = budget.owed[:0]
     links = cloud.id[links]
@@ -275,8 +291,13 @@ def remesh(
         number = np.cumsum(used) - 1
         cloud.keep(used)
         new = Tessellation(number[new.cells], number[new.facets], new.parents)
-    new = Tessellation(new.cells, new.facets, np.where(new.parents >= 0, rows[new.parents], -1))
+    new = Tessellation(new.cells, new.facets, np.append(rows, -1)[new.parents])  # -1 stays -1
     touch = obstacles.touch(cloud)
+    if rules.skin:
+        places = np.zeros((cloud.next_id, 3))
+        places[ids], places[cloud.id] = x, cloud.x
+        due = swept(places, ids[tessellation.facets], cloud.id[new.facets]) * [1, 1, 1, -1]
+        give_back(cloud, new.cells, new.facets, touch.count, np.concatenate([budget.owed, due]), budget)
     balance(cloud, new, before, links, (np.abs(touch.normals) > 0.1).any(axis=1))
     budget.book("resample", budget.look(cloud, new.cells) - (budget.total() - booked))
     return new
@@ -289,6 +310,9 @@ def needs(cloud: Cloud, tessellation: Tessellation, rules: Rules, budget: Budget
         return True
     if len(too_big(cloud, cells, rules)):
         return True
+    if rules.skin:
+        owed = float(np.abs(budget.owed[:, -1]).sum())
+        return bool((lengths(cloud, facets) > rules.coarse).any()) or owed > 1e-9 * float((cloud.size**3).max())
     if not rules.boundary:
         return False
     a, b = facets.T

@@ -28,6 +28,7 @@ class Rules:
     catch : what flies is caught by a boundary so near that it approaches.
     quality : the mesh is made anew when a cell is worse, see ``simplices.quality``.
     boundary : False leaves the boundary alone, for tessellators that find it anew each time, and in space.
+    skin : in space, the edges of the boundary are split and collapsed, and volume is given back to it.
     """
 
     coarse: float = 1.5
@@ -41,6 +42,7 @@ class Rules:
     catch: float = 0.7
     quality: float = 0.3
     boundary: bool = True
+    skin: bool = False
 
 
 @dataclass

@@ -62,6 +62,7 @@ class InsideBody:
         inside = share == 1.0
         known = np.zeros(len(x), bool)
         known[old.cells] = True
+        known[old.facets] = True  # also nodes that have just been put on the boundary
         doubtful = np.flatnonzero((share > 0) & (share < 1))
         doubtful = doubtful[np.argsort(-share[doubtful], kind="stable")]
         fill(cells, volumes, inside, doubtful, known, enclosed_volume(x, old.facets))
