@@ -49,9 +49,11 @@ def history(setup: str, n: int, end: float, knobs: dict[str, Any]) -> tuple[dict
     seconds; and why it broke down."""
     model = methods.get("pfem").build(scenes.get("dam_break")(setup=setup, end=end), n=n, **knobs)
     rows, start, cause = [], time.process_time(), ""
-    while model.t < end * (1 - 1e-9):
+    while True:
         checks = model.checks()
         rows.append([model.t, *(checks.get(name if name == "mass" else f"volume_{name}", 0.0) for name in KINDS)])
+        if model.t > end * (1 - 1e-9):
+            break
         try:
             model.step(min(model.dt(), end - model.t))
         except Breakdown as stop:

@@ -178,7 +178,7 @@ def give_back(cloud: Cloud, cells: Array, facets: Array, level: Array, due: Arra
         free = np.flatnonzero(room > 0)
         near = free[np.argsort(((x[free] - at) ** 2).sum(axis=1), kind="stable")]
         rest = float(give(x, facets, starts, order // 3, room, near, volume))
-        budget.book("restore", budget.made(volume - rest, np.array(at)))
+        budget.book("restore", budget.made(float(volume) - rest, np.array(at)))
         if rest:
             owed.append((*at, rest))
     cloud.x = x
