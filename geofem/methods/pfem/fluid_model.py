@@ -206,8 +206,7 @@ class FluidModel:
 
     def _taken(self) -> dict[str, float]:
         """Kinetic energy (J) that each kind of change between the steps took: inelastic impacts, and nodes made anew."""
-        kinds = set(self.budget.of) - {"lagrangian", *OPEN}
-        return {kind: -self.flow.density * self.budget.of[kind].kinetic for kind in KINDS if kind in kinds}
+        return {kind: -self.flow.density * self.budget.of[kind].kinetic for kind in KINDS if kind not in ("lagrangian", *OPEN)}
 
     def _put_in(self) -> float:
         """Work of gravity, of what moves and of what is beyond outlets, and the kinetic energy that came in less what left (J)."""
