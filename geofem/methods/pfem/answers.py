@@ -10,7 +10,7 @@ import numpy as np
 from geofem.core.sampling import quantile
 from geofem.methods.pfem.budget import Amount, Budget, volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Contact
+from geofem.methods.pfem.contact import Touch
 from geofem.mistake import Mistake
 from geofem.scene import Array, Probe, Scene
 
@@ -63,10 +63,9 @@ class Places:
         return self.value(probe.at, cloud, fields[probe.quantity][:, c])
 
 
-def reactions(obstacles: Contact, cloud: Cloud, force: Array) -> Array:
-    """Forces (k, gdim) that the obstacles exert on the nodes (N); a node in a corner shares its force (n, gdim) by the normals."""
-    touch = obstacles.touch(cloud)
-    total = np.zeros((len(obstacles.names), force.shape[1]))
+def reactions(touch: Touch, count: int, force: Array) -> Array:
+    """Forces (count, gdim) that obstacles exert on the nodes (N); a node in a corner shares its force (n, gdim) by the normals."""
+    total = np.zeros((count, force.shape[1]))
     for row in range(touch.obstacle.shape[1]):
         who = touch.obstacle[:, row] >= 0
         shared, normal = who & (touch.count > 1), touch.normals[:, row]

@@ -11,7 +11,7 @@ from mpi4py import MPI
 from geofem import materials
 from geofem.methods.pfem.budget import node_volumes
 from geofem.methods.pfem.cloud import Cloud
-from geofem.methods.pfem.contact import Contact
+from geofem.methods.pfem.contact import Contact, Touch
 from geofem.methods.pfem.fluid_forms import FlowForms, flow_forms
 from geofem.methods.pfem.fluid_system import FluidSystem
 from geofem.methods.pfem.tessellation import Tessellation
@@ -47,7 +47,8 @@ class Scheme:
 class Flow:
     """The solver of a scene's fluid; on every rank.
 
-    ``reaction`` (n, gdim): force of obstacles on the nodes in the last step (N), ``traction`` that of what is beyond outlets.
+    ``reaction`` (n, gdim): force of obstacles on the nodes in the last step (N), ``traction`` that of what is beyond outlets,
+    ``touch`` what touched what.
     """
 
     def __init__(self, comm: MPI.Intracomm, scene: Scene, scheme: Scheme):
@@ -60,6 +61,7 @@ class Flow:
         self.springs |= any(outlet.traction is not None for outlet in scene.outlets)
         self.forms: FlowForms = flow_forms(scene.gdim, scheme.element, self.law, self.springs)
         self.system: FluidSystem | None = None
+        self.touch: Touch
         self.reaction = self.traction = np.zeros((0, scene.gdim))
         self.factorisations = self.linear = self.iterations = 0
 
@@ -110,16 +112,17 @@ class Flow:
         gdim = self.scene.gdim
         u, p, force = whole[:, :gdim], whole[:, gdim], whole[:, gdim + 1 :]
         self.reaction = np.where(ties.held, force, 0.0) + ties.force(u)
-        self.traction = ties.traction
+        self.traction, self.touch = ties.traction, ties.touch
         self.factorisations += system.factorisations
         self.linear += system.solver.iterations
         self.iterations += system.iterations
         system.factorisations = system.solver.iterations = system.iterations = 0
         return u, p
 
-    def powers(self) -> Array:
+    def power(self) -> float:
+        """Dissipation (W) in the last step. Collective."""
         assert self.system is not None
-        return self.system.powers()
+        return self.system.power()
 
 
 class Ties:
@@ -131,7 +134,7 @@ class Ties:
     def __init__(self, flow: Flow, cloud: Cloud, mesh: Tessellation, obstacles: Contact, t: float, dt: float, gravity: Array):
         self.flow, self.cloud, self.mesh, self.dt = flow, cloud, mesh, dt
         n, gdim = cloud.x.shape
-        touch = obstacles.touch(cloud)
+        self.touch = touch = obstacles.touch(cloud)
         self.held, self.speed = np.zeros((n, gdim), bool), np.zeros((n, gdim))
         self.spring, self.pull = np.zeros((n, gdim, gdim)), np.zeros((n, gdim))
         par = flow.par

@@ -52,8 +52,8 @@ THIN = 1e-6
 class FlowForms:
     """Compiled forms of one kind of flow; what they are made of is told by ``bind``.
 
-    matrix, residual : tangent with the viscosity frozen, and a(w, .) - L(.) at w. powers : scalar forms (W): viscous dissipation,
-    dissipation of the stabilisation. scales : what preconditioners weigh by, at each dof: of a velocity its mass over dt and its
+    matrix, residual : tangent with the viscosity frozen, and a(w, .) - L(.) at w. power : scalar form (W): dissipation by
+    viscosity and by the stabilisation. scales : what preconditioners weigh by, at each dof: of a velocity its mass over dt and its
     spring (N s/m), of a pressure its volume over twice the viscosity (m3/Pa s).
     """
 
@@ -67,7 +67,7 @@ class FlowForms:
     pull: Any
     matrix: Any
     residual: Any
-    powers: tuple[Any, ...]
+    power: Any
     scales: Any
     springs: bool
 
@@ -137,8 +137,9 @@ def flow_forms(gdim: int, element: str, viscosity: str, springs: bool) -> FlowFo
         # the volume is a cubic of time where nodes move straight: over the step the divergence is tr G + (theta dt)^2 det G
         right -= q * dt**2 * ufl.det(ufl.grad(uk)) * dx
     residual = left(uk, pk, v, q) - right
-    viscous = 2 * mu * ufl.inner(rate, rate) * dx
-    stab = tau / rho * ufl.dot(ufl.grad(pk), rho / dt * (uk - u0) + ufl.grad(pk) - rho * gravity) * dx if stabilised else None
+    power = 2 * mu * ufl.inner(rate, rate) * dx
+    if stabilised:
+        power += tau / rho * ufl.dot(ufl.grad(pk), rho / dt * (uk - u0) + ufl.grad(pk) - rho * gravity) * dx
 
     least = THIN * rho * h**2 / dt
     scales = (rho / dt * sum(v) + q / (2 * ufl.max_value(mu, least))) * dx
@@ -148,11 +149,8 @@ def flow_forms(gdim: int, element: str, viscosity: str, springs: bool) -> FlowFo
     def compiled(form: Any) -> Any:
         return fem.compile_form(MPI.COMM_WORLD, form, jit_options=JIT)
 
-    powers = tuple(compiled(form) for form in (viscous, stab) if form is not None)
-    matrix = compiled(left(u, p, v, q))
-    return FlowForms(
-        domain, mixed, w, w0, c, gravity, spring, pull, matrix, compiled(residual), powers, compiled(scales), springs
-    )
+    matrix, residual, power, scales = (compiled(form) for form in (left(u, p, v, q), residual, power, scales))
+    return FlowForms(domain, mixed, w, w0, c, gravity, spring, pull, matrix, residual, power, scales, springs)
 
 
 def effective_viscosity(viscosity: str, c: dict[str, Any], rate: Any, p: Any, h: Any) -> Any:

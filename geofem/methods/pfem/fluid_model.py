@@ -135,10 +135,9 @@ class FluidModel:
         new = cloud.v + (u - cloud.v) / theta
         way = CONFIGURATIONS[self.scheme.configuration]
         mass = self.flow.density * node_volumes(cloud.x + way * dt * u, mesh.cells)
-        powers = self.flow.powers()
-        self._energy["internal"] += dt * float(powers.sum())
+        self._energy["internal"] += dt * self.flow.power()
         pushed = self.flow.reaction + self.flow.traction
-        self._reactions = answers.reactions(self.obstacles, cloud, self.flow.reaction)
+        self._reactions = answers.reactions(self.flow.touch, len(self.obstacles.names), self.flow.reaction)
         work = float((mass[:, None] * gravity * u).sum()) + float((pushed * u).sum())
         flown = self.flow.density * cloud.carried
         fall = cloud.v * dt + 0.5 * dt * dt * gravity

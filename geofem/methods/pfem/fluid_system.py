@@ -48,12 +48,13 @@ class FluidSystem:
                 self.spring = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1, (gdim, gdim))))
                 self.pull = fem.Function(fem.functionspace(self.mesh, ("Lagrange", 1, (gdim,))))
                 functions |= {"spring": self.spring, "pull": self.pull}
+            self._functions = functions
+            self._scales_form: fem.Form | None = None
             scalar = PETSc.ScalarType
             self.constants = {name: fem.Constant(self.mesh, scalar(values.get(name, 0.0))) for name in CONSTANTS}
             self.constants["gravity"] = fem.Constant(self.mesh, np.zeros(gdim, scalar))
             self._residual_form = forms.bind(forms.residual, self.space, functions, self.constants, 1)
-            self._powers = [forms.bind(power, self.space, functions, self.constants, 0) for power in forms.powers]
-            self._scales_form = forms.bind(forms.scales, self.space, functions, self.constants, 1)
+            self._power_form = forms.bind(forms.power, self.space, functions, self.constants, 0)
             matrix_form = forms.bind(forms.matrix, self.space, functions, self.constants, 2)
         with phase("sparsity"):
             self.matrix = Matrix(matrix_form)
@@ -138,6 +139,8 @@ class FluidSystem:
 
     def scales(self) -> Array:
         """``FlowForms.scales`` of the owned dofs. Collective."""
+        if self._scales_form is None:  # few meshes need it
+            self._scales_form = self.forms.bind(self.forms.scales, self.space, self._functions, self.constants, 1)
         return self._assembled(self._scales_form)[: self.owned_dofs]
 
     def _assembled(self, form: fem.Form) -> Array:
@@ -208,9 +211,9 @@ class FluidSystem:
             self.comm.Allreduce(MPI.IN_PLACE, local, op=MPI.MAX)
         return float(local[0]), float(local[1])
 
-    def powers(self) -> Array:
-        """Viscous dissipation and that of the stabilisation (W) at the present w. Collective."""
-        local = np.array([fem.assemble_scalar(power) for power in self._powers])
+    def power(self) -> float:
+        """Dissipation by viscosity and by the stabilisation (W) at the present w. Collective."""
+        local = float(fem.assemble_scalar(self._power_form))
         return self.comm.allreduce(local) if self.comm.size > 1 else local
 
     def destroy(self) -> None:
