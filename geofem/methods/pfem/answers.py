@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geofem.core.sampling import quantile
-from geofem.methods.pfem.budget import Amount, Budget, volumes
+from geofem.methods.pfem.budget import Amount, Budget
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Touch
 from geofem.mistake import Mistake
@@ -72,15 +72,6 @@ def reactions(touch: Touch, count: int, force: Array) -> Array:
         part = np.where(shared[:, None], np.einsum("ni,ni->n", force, normal)[:, None] * normal, force)
         np.add.at(total, touch.obstacle[who, row], part[who])
     return total
-
-
-def kinetic(cloud: Cloud, cells: Array) -> float:
-    """Integral of v.v / 2 over the cells, exact for linear v, and over what flies."""
-    v = cloud.v[cells]
-    corners = cells.shape[1]
-    total = np.sum(v.sum(axis=1) ** 2, axis=1) + np.sum(v**2, axis=(1, 2))
-    mesh = volumes(cloud.x, cells) @ total / (corners * (corners + 1))
-    return 0.5 * float(mesh + cloud.carried @ np.sum(cloud.v**2, axis=1))
 
 
 def surface(x: Array, facets: Array) -> float:

@@ -34,11 +34,25 @@ def shares(part, cells, total):  # type: ignore[no-untyped-def]
     return total
 
 
+@njit(cache=True, error_model="numpy")
+def half_square(v, cells, volume):  # type: ignore[no-untyped-def]
+    """Integral of v.v / 2 over cells (m, gdim + 1) of these volumes (m,), exact for v (n, gdim) linear in each."""
+    corners, total = cells.shape[1], 0.0
+    for c in range(len(cells)):
+        for d in range(v.shape[1]):
+            first, second = 0.0, 0.0
+            for i in cells[c]:
+                first += v[i, d]
+                second += v[i, d] ** 2
+            total += volume[c] * (first * first + second)
+    return 0.5 * total / (corners * (corners + 1))
+
+
 @dataclass(frozen=True)
 class Amount:
     """Integrals over the bodies and all that flies, per unit of density.
 
-    volume (m2 or m3), momentum (gdim,) = int v, kinetic = int v.v/2 with lumped masses, potential = -int g.x.
+    volume (m2 or m3), momentum (gdim,) = int v, kinetic = int v.v/2, potential = -int g.x.
     """
 
     volume: float
@@ -49,11 +63,13 @@ class Amount:
     @classmethod
     def of(cls, cloud: Cloud, cells: Array, gravity: Array) -> Amount:
         """What there is now; gravity (gdim,) (m/s2)."""
-        m = lumped(cloud, cells)
+        volume = volumes(cloud.x, cells)
+        m = shares(volume / cells.shape[1], cells, cloud.carried.copy())
         # Sums rather than products of matrices, which BLAS would share out among threads.
-        momenta = m[:, None] * cloud.v
-        kinetic = 0.5 * float((momenta * cloud.v).sum())
-        return cls(float(m.sum()), momenta.sum(axis=0), kinetic, -float((m * (cloud.x * gravity).sum(axis=1)).sum()))
+        momentum = (m[:, None] * cloud.v).sum(axis=0)
+        flying = 0.5 * float((cloud.carried * (cloud.v**2).sum(axis=1)).sum())
+        kinetic = half_square(cloud.v, cells, volume) + flying
+        return cls(float(m.sum()), momentum, kinetic, -float((m * (cloud.x * gravity).sum(axis=1)).sum()))
 
     def __sub__(self, other: Amount) -> Amount:
         return Amount(

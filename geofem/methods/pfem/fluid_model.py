@@ -12,7 +12,7 @@ from mpi4py import MPI
 from geofem.core.mpi import on_root
 from geofem.cost import phase
 from geofem.methods.pfem import answers
-from geofem.methods.pfem.budget import KINDS, OPEN, Budget, lumped, node_volumes, volumes
+from geofem.methods.pfem.budget import KINDS, OPEN, Budget, half_square, lumped, node_volumes, volumes
 from geofem.methods.pfem.cloud import Cloud
 from geofem.methods.pfem.contact import Contact
 from geofem.methods.pfem.flow import CONFIGURATIONS, Flow, Scheme
@@ -134,8 +134,11 @@ class FluidModel:
             flying &= cloud.fields["fixed"] < 0.5
         new = cloud.v + (u - cloud.v) / theta
         way = CONFIGURATIONS[self.scheme.configuration]
-        mass = self.flow.density * node_volumes(cloud.x + way * dt * u, mesh.cells)
-        self._energy["internal"] += dt * self.flow.power()
+        middle = cloud.x + way * dt * u
+        mass = self.flow.density * node_volumes(middle, mesh.cells)
+        # what theta above 1/2 damps: (v1 - v0).u is the change of v.v / 2 and (theta - 1/2) |v1 - v0|^2
+        damped = (2 * theta - 1) * half_square(new - cloud.v, mesh.cells, volumes(middle, mesh.cells))
+        self._energy["internal"] += dt * self.flow.power() + self.flow.density * damped
         pushed = self.flow.reaction + self.flow.traction
         self._reactions = answers.reactions(self.flow.touch, len(self.obstacles.names), self.flow.reaction)
         work = float((mass[:, None] * gravity * u).sum()) + float((pushed * u).sum())
@@ -214,7 +217,7 @@ class FluidModel:
     def energy(self) -> dict[str, float]:
         """Kinetic energy; ``internal``: heat of viscosity, of the stabilisation and of impacts, and the energy of the surface;
         ``external``: work of gravity, of what moves and of outlets' tractions, and what comes in less what leaves."""
-        kinetic = self.flow.density * answers.kinetic(self.cloud, self.mesh.cells)
+        kinetic = self.flow.density * self.budget.now.kinetic
         heat, work = self._energy["internal"] + sum(self._taken().values()), self._put_in()
         surface = answers.surface(self.cloud.x, self.mesh.facets) if self.flow.tension else 0.0
         return {"kinetic": kinetic, "internal": heat + self.flow.tension * surface, "external": work}

@@ -90,8 +90,8 @@ def let_out(cloud: Cloud, cells: Array, facets: Array, obstacles: Contact, budge
         gone = Amount(
             float(volume.sum()), integrals[:, :2].sum(axis=0), float(integrals[:, 2].sum()), float(integrals[:, 3].sum())
         )
-        own = integrands(cloud.x, cloud.v, budget.gravity)
-        gone += Amount(float(flown.sum()), flown @ own[:, :2], float(flown @ own[:, 2]), float(flown @ own[:, 3]))
+        square, depth = (cloud.v**2).sum(axis=1), (cloud.x * budget.gravity).sum(axis=1)
+        gone += Amount(float(flown.sum()), flown @ cloud.v, 0.5 * float(flown @ square), -float(flown @ depth))
         budget.book("outflow", Amount(0.0, np.zeros(2), 0.0, 0.0) - gone)
         cloud.carried[beyond] = 0.0
         facets = clipped(cloud, cells[rows], facets, outlet, beyond, height)
@@ -101,15 +101,16 @@ def let_out(cloud: Cloud, cells: Array, facets: Array, obstacles: Contact, budge
     return facets, left, lost
 
 
-def integrands(x: Array, v: Array, gravity: Array) -> Array:
-    """What is integrated, (..., 4), at places x (..., 2) with velocities v (..., 2)."""
-    return np.concatenate([v, 0.5 * (v * v).sum(axis=-1, keepdims=True), -(x * gravity).sum(axis=-1, keepdims=True)], axis=-1)
+def means(x: Array, v: Array, gravity: Array) -> Array:
+    """Means (k, 4) of v, v.v / 2 and -g.x over triangles with corners x (k, 3, 2) and velocities v (k, 3, 2)."""
+    kinetic = ((v.sum(axis=1) ** 2).sum(axis=1) + (v * v).sum(axis=(1, 2))) / 24
+    return np.column_stack([v.mean(axis=1), kinetic, -(x.mean(axis=1) * gravity).sum(axis=1)])
 
 
 def part_beyond(cloud: Cloud, cells: Array, height: Array, gravity: Array) -> Part:
     """The parts of cells (k, 3) where the height (n,) over the outlet is negative."""
     area = volumes(cloud.x, cells)
-    whole = area, area[:, None] * integrands(cloud.x[cells], cloud.v[cells], gravity).mean(axis=1)
+    whole = area[:, None] * means(cloud.x[cells], cloud.v[cells], gravity)
     below = height[cells] < 0
     count = below.sum(axis=1)
     # One corner is alone on its side of the plane: first that one, then the two others.
@@ -121,9 +122,9 @@ def part_beyond(cloud: Cloud, cells: Array, height: Array, gravity: Array) -> Pa
     for field in (x, v):
         field[:, 1:] = field[:, :1] + share[:, :, None] * (field[:, 1:] - field[:, :1])
     corner = area * share.prod(axis=1)
-    tip = corner, corner[:, None] * integrands(x, v, gravity).mean(axis=1)
+    tip = corner[:, None] * means(x, v, gravity)
     every, sign = (count > 1).astype(float), np.array([0.0, 1.0, -1.0, 0.0])[count]
-    return every * whole[0] + sign * tip[0], every[:, None] * whole[1] + sign[:, None] * tip[1]
+    return every * area + sign * corner, every[:, None] * whole + sign[:, None] * tip
 
 
 def clipped(cloud: Cloud, cells: Array, facets: Array, outlet: Outflow, beyond: Array, height: Array) -> Array:
