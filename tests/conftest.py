@@ -8,8 +8,9 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -74,3 +75,22 @@ def mpirun() -> Callable[..., str]:
         return done.stdout
 
     return call
+
+
+@pytest.fixture
+def compilations(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], int]]:
+    """How often FFCx and numba have compiled in this process since the test began; other workers fill the same caches meanwhile."""
+    import dolfinx_solver  # noqa: F401
+    from ffcx.codegeneration import jit
+    from numba.core.event import install_recorder
+
+    forms = []
+    compile_objects = jit._compile_objects
+
+    def spy(*args: Any, **kwargs: Any) -> Any:
+        forms.append(1)
+        return compile_objects(*args, **kwargs)
+
+    monkeypatch.setattr(jit, "_compile_objects", spy)
+    with install_recorder("numba:compile") as kernels:
+        yield lambda: len(forms) + len(kernels.buffer)
