@@ -223,7 +223,7 @@ class Obstacles:
         self.rigids = [Convex(rigid) for rigid in scene.rigids]
         self.solids: list[Any] = [*self.planes, *self.rigids]
         ins, outs = planes_of(scene.inlets, scene, cloud), planes_of(scene.outlets, scene, cloud)
-        self.openings = [*ins, *outs]
+        self.surfaces = [*self.solids, *ins, *outs]
         start = len(self.solids)
         self.inlets = [Inflow(p, start + k, told.velocity) for k, (p, told) in enumerate(zip(ins, scene.inlets))]
         start += len(ins)
@@ -231,11 +231,10 @@ class Obstacles:
         self.supports = [(s.name, s.where, c) for s in scene.supports if s.value is None for c in s.components]
         if any(isinstance(where, str) for _, where, _ in self.supports):
             raise Mistake(f"scene {scene.name}: supports of particles are predicates, not names of physical groups")
-        surfaces = [*self.solids, *self.openings]
-        self.names = [*(s.name for s in surfaces), *(name for name, _, _ in self.supports)]
-        cloud.fields["held"] = np.zeros((cloud.n, len(surfaces)))
+        self.names = [*(s.name for s in self.surfaces), *(name for name, _, _ in self.supports)]
+        cloud.fields["held"] = np.zeros((cloud.n, len(self.surfaces)))
         self.follow(0.0, 0.0)
-        for o, surface in enumerate(surfaces):
+        for o, surface in enumerate(self.surfaces):
             distance, _ = surface.reach(cloud.x)
             cloud.fields["held"][distance < TOUCH * cloud.size, o] = 1.0
 
@@ -258,7 +257,7 @@ class Obstacles:
     def touch(self, cloud: Cloud, *, outlets: bool = False) -> Touch:
         """The constraints of all nodes, those of inlets and supports first. outlets : nodes on them also stay in their plane."""
         n, gdim = cloud.x.shape
-        first, last = len(self.solids) + len(self.openings), len(self.names)
+        first, last = len(self.surfaces), len(self.names)
         normals, velocity = np.zeros((n, gdim, gdim)), np.zeros((n, gdim, gdim))
         friction, obstacle = np.zeros((n, gdim)), np.full((n, gdim), -1)
         count, held = np.zeros(n, np.int64), self.held(cloud)
@@ -270,8 +269,7 @@ class Obstacles:
         for o in [*range(first, last), *range(len(self.solids)), *exits]:
             who = np.flatnonzero(held[:, o])
             if o < first:
-                surface = self.solids[o] if o < len(self.solids) else self.openings[o - len(self.solids)]
-                direction = surface.reach(cloud.x[who])[1]
+                direction = self.surfaces[o].reach(cloud.x[who])[1]
             else:
                 direction = np.zeros((len(who), gdim))
                 direction[:, self.supports[o - first][2]] = 1.0
@@ -327,7 +325,9 @@ class Obstacles:
         A node that was let go is held again when it has come back through the obstacle, or moves towards it within its touch.
         """
         mass, field = lumped(cloud, cells), cloud.fields["held"]
-        kept = field[:, [inlet.column for inlet in self.inlets]].any(axis=1)  # they are pushed in there, whatever it takes
+        kept = (field[:, [inlet.column for inlet in self.inlets]] > 0.999).any(
+            axis=1
+        )  # they are pushed in there, whatever it takes
         scale = 1e-9 * np.abs(force).max(initial=0.0)  # a reaction of zero, to rounding, holds
         let = np.zeros(cloud.n, bool)
         for o, solid in enumerate(self.solids):
